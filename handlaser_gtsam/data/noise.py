@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray, IntArray
 from ..checks import number_array, require_covariance, require_fields
@@ -72,7 +71,12 @@ class Noise(Value):
         if self.pose_covariance is not None:
             if self.pose_translation_sigma is not None or self.pose_rotation_sigma is not None:
                 raise InputError("a pose covariance and pose sigmas", "one of the two")
-            object.__setattr__(self, "pose_covariance", _checked(self.pose_covariance))
+            name, expected = "a pose covariance", "(6, 6) or (stations, 6, 6)"
+            matrix = number_array(name, self.pose_covariance, f"numbers, {expected}")
+            if matrix.shape[-2:] != (6, 6) or matrix.ndim not in (2, 3) or not matrix.size:
+                raise InputError(f"{name} of shape {matrix.shape}", f"shape {expected}")
+            require_covariance(name, matrix, ROUNDING)
+            object.__setattr__(self, "pose_covariance", matrix)
 
     @property
     def poses_uncertain(self) -> bool:
@@ -111,17 +115,15 @@ class Noise(Value):
         InputError
             Covariances of fewer stations.
         """
-        if self.pose_covariance is None:
-            rotation = [(self.pose_rotation_sigma or 0.0) ** 2] * 3
-            covariance = np.diag([*rotation, *[(self.pose_translation_sigma or 0.0) ** 2] * 3])
-        elif self.pose_covariance.ndim == 2:
-            covariance = self.pose_covariance
-        else:
-            if len(self.pose_covariance) < stations:
-                given = f"{len(self.pose_covariance)} pose covariances"
-                raise InputError(given, f"{stations}, one a station")
-            return self.pose_covariance
-        return np.broadcast_to(covariance, (stations, 6, 6))
+        S = self.pose_covariance
+        if S is None:
+            sigmas = self.pose_rotation_sigma or 0.0, self.pose_translation_sigma or 0.0
+            S = np.diag(np.repeat(sigmas, 3) ** 2)
+        if S.ndim == 2:
+            return np.broadcast_to(S, (stations, 6, 6))
+        if len(S) < stations:
+            raise InputError(f"{len(S)} pose covariances", f"{stations}, one a station")
+        return S
 
     def without(self, sigmas: Iterable[str]) -> "Noise":
         """Return the same without some of its sigmas, which are estimated then."""
@@ -142,13 +144,3 @@ class Noise(Value):
         if len(S) != len(stations):
             raise InputError(f"{len(S)} pose covariances", f"{len(stations)}, one a station")
         return replace(self, pose_covariance=S[stations])
-
-
-def _checked(covariance: ArrayLike) -> FloatArray:
-    expected = "numbers, (6, 6) or (stations, 6, 6)"
-    matrix = number_array("a pose covariance", covariance, expected)
-    if matrix.shape[-2:] != (6, 6) or matrix.ndim not in (2, 3) or not matrix.size:
-        shape = f"a pose covariance of shape {matrix.shape}"
-        raise InputError(shape, "shape (6, 6) or (stations, 6, 6)")
-    require_covariance("a pose covariance", matrix, ROUNDING)
-    return matrix

@@ -95,17 +95,12 @@ class Parameters(Value):
             raise InputError(f"arrays of shapes {given}", f"{shapes}")
 
     @classmethod
-    def unchecked(
-        cls,
-        locations: FloatArray,
-        directions: FloatArray,
-        range_errors: FloatArray,
-        normals: FloatArray,
-        offsets: FloatArray,
-    ) -> "Parameters":
-        """Return what fresh arrays of the right shapes hold, as solvers make them step after step."""
+    def unchecked(cls, *arrays: FloatArray) -> "Parameters":
+        """Return what fresh arrays of the right shapes hold, as solvers make them step after step.
+
+        The arrays come in the order of the fields.
+        """
         parameters = object.__new__(cls)
-        arrays = locations, directions, range_errors, normals, offsets
         for name, array in zip(cls.__dataclass_fields__, arrays, strict=True):
             array.setflags(write=False)
             object.__setattr__(parameters, name, array)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray, gathered
 from ..quantities import MEDIAN_TO_SIGMA
-from .value import Value
+from .value import Value, fields_at
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -92,13 +92,8 @@ class Readings(Value):
         """A row of each pair of plane and station, its number for each row (N,), and its plane."""
         count = int(self.station.max()) + 1
         pairs = self.plane * count + self.station
-        order = np.argsort(pairs, kind="stable")
-        ordered = pairs[order]
-        new = np.concatenate(([True], ordered[1:] > ordered[:-1]))
-        number = np.empty_like(pairs)
-        number[order] = np.cumsum(new) - 1
-        first = np.flatnonzero(new)
-        return order[first], number, ordered[first] // count
+        found, first, number = np.unique(pairs, return_index=True, return_inverse=True)
+        return first, number, found // count
 
     def block_starts(self) -> IntArray:
         """Return the first row of each block of readings that share plane and beam."""
@@ -151,18 +146,9 @@ class Readings(Value):
         """Return the readings `rows` (sorted indices), with the same beams and planes."""
         if len(rows) == len(self) and (rows == np.arange(len(rows))).all():
             return self
-        return Readings(
-            self.station[rows],
-            self.beam[rows],
-            self.plane[rows],
-            self.distance[rows],
-            gathered(self.world_R_hand, rows),
-            gathered(self.world_t_hand, rows),
-            self.beams,
-            self.planes,
-            None if self.samples is None else self.samples[rows],
-            None if self.regressors is None else self.regressors[rows],
-        )
+        columns = "station", "beam", "plane", "distance", "samples", "regressors"
+        R, t = gathered(self.world_R_hand, rows), gathered(self.world_t_hand, rows)
+        return replace(self, world_R_hand=R, world_t_hand=t, **fields_at(self, rows, *columns))
 
 
 def typical_range(distance: FloatArray) -> float:

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..arrays import FloatArray, IntArray, frozen, frozen_indices, gathered
+from ..arrays import FloatArray, IntArray, frozen_indices, gathered
 from ..checks import number_array, require_kind, require_names, require_number
 from ..errors import CalibrationWarning, InputError
 from ..quantities import LARGEST_LENGTH, NEGLIGIBLE
 from ..text import shown
 from .readings import Readings, typical_range
-from .value import Value
+from .value import Value, fields_at, fields_joined
 
 if TYPE_CHECKING:
     from .station_list import StationList
@@ -82,6 +82,12 @@ def numbered(count: int) -> tuple[str, ...]:
     return tuple(str(index + 1) for index in range(count))
 
 
+def names_and_numbers(labels: Sequence[str]) -> tuple[tuple[str, ...], IntArray]:
+    """Return the labels that differ, in their order, and for each label the number of its own."""
+    number = {name: i for i, name in enumerate(dict.fromkeys(labels))}
+    return tuple(number), frozen_indices([number[label] for label in labels])
+
+
 NAMES = {
     "plane_labels": "the label of a plane",
     "beam_names": "the name of a beam",
@@ -90,6 +96,10 @@ NAMES = {
     "joint_names": "the name of a joint",
 }
 """Fields that hold names."""
+
+
+OF_STATIONS = ("world_R_hand", "world_t_hand", "plane_labels", "station_names")
+"""Fields that say where the hand stands, one entry a station."""
 
 
 def store_columns(of: object, *fields: str) -> None:
@@ -262,9 +272,9 @@ class Recording(Value):
         store = object.__setattr__
         store_columns(self, "world_R_hand", "world_t_hand", "ranges", "samples")
         store_columns(self, "plane_labels", "beam_names", "station_names", "ignored_columns")
-        number = {label: p for p, label in enumerate(dict.fromkeys(self.plane_labels))}
-        store(self, "plane_names", tuple(number))
-        store(self, "plane_of_station", frozen_indices([number[x] for x in self.plane_labels]))
+        names, plane = names_and_numbers(self.plane_labels)
+        store(self, "plane_names", names)
+        store(self, "plane_of_station", plane)
         require_kind("warnings", self.warnings, tuple, "a tuple of CalibrationWarning")
         for warning in self.warnings:
             require_kind("a warning", warning, CalibrationWarning)
@@ -363,15 +373,15 @@ class Recording(Value):
         station, beam, plane = station[rows], beam[rows], plane[rows]
         source = stations[station]
         return Readings(
-            frozen_indices(station),
-            frozen_indices(beam),
-            frozen_indices(plane),
-            frozen(d[station, beam]),
+            station,
+            beam,
+            plane,
+            d[station, beam],
             gathered(self.world_R_hand, source),
             gathered(self.world_t_hand, source),
             len(beams),
             len(planes),
-            None if self.samples is None else frozen(self.samples[source, beams[beam]]),
+            None if self.samples is None else self.samples[source, beams[beam]],
         )
 
     def plane(self, name: str) -> "Recording":
@@ -406,16 +416,10 @@ class Recording(Value):
         if not rows.size:
             raise InputError("no readings in this part", "at least one")
         beams = np.flatnonzero(~np.isnan(self.ranges[rows]).all(axis=0))
-        whole = len(beams) == len(self.beam_names) and np.array_equal(rows, np.arange(count))
-        if whole and not (self.ignored_columns or self.warnings):
-            return self
         return Recording(
-            self.world_R_hand[rows],
-            self.world_t_hand[rows],
-            self.ranges[np.ix_(rows, beams)],
-            tuple(self.plane_labels[j] for j in rows),
-            tuple(self.beam_names[i] for i in beams),
-            tuple(self.station_names[j] for j in rows),
+            **fields_at(self, rows, *OF_STATIONS),
+            ranges=self.ranges[np.ix_(rows, beams)],
+            beam_names=tuple(self.beam_names[i] for i in beams),
             samples=None if self.samples is None else self.samples[np.ix_(rows, beams)],
             range_min=self.range_min,
         )
@@ -472,15 +476,10 @@ def join(recordings: Sequence[Recording]) -> Recording:
             for part in recordings
         ]
         _, samples = joined_columns(worth, 1.0)
+    range_min = min(part.range_min for part in recordings)
+    stations = fields_joined(recordings, *OF_STATIONS)
     return Recording(
-        np.concatenate([part.world_R_hand for part in recordings]),
-        np.concatenate([part.world_t_hand for part in recordings]),
-        ranges,
-        tuple(label for part in recordings for label in part.plane_labels),
-        beams,
-        tuple(name for part in recordings for name in part.station_names),
-        samples=samples,
-        range_min=min(part.range_min for part in recordings),
+        **stations, ranges=ranges, beam_names=beams, samples=samples, range_min=range_min
     )
 
 
@@ -493,34 +492,13 @@ class Order(Value):
     planes: IntArray
 
 
-def sorted_rows(table: FloatArray) -> IntArray:
-    """Return the order of the rows (N, D) by the first column, then the second, and so on.
-
-    A row that the columns so far tell from all others is not sorted again.
-    """
-    order = np.arange(len(table))
-    place, group = order.copy(), np.zeros_like(order)
-    for column in table.T:
-        rows = order[place]
-        rows = rows[np.lexsort((column[rows], group))]
-        order[place], x = rows, column[rows]
-        first = np.ones(len(rows) + 1, dtype=bool)
-        first[1:-1] = (group[1:] != group[:-1]) | (x[1:] != x[:-1])
-        shared = ~(first[:-1] & first[1:])
-        place, group = place[shared], np.cumsum(first[:-1])[shared]
-        if not place.size:
-            break
-    return order
-
-
 def sorted_readings(recording: Recording) -> tuple[Readings, Order]:
     """Return the readings of `recording` in the order that only their content decides."""
     ranges = np.where(np.isnan(recording.ranges), np.inf, recording.ranges)
     poses = np.hstack((recording.world_t_hand, recording.world_R_hand.reshape(-1, 9)))
-    stations = sorted_rows(np.hstack((poses, np.sort(ranges, axis=1))))
+    stations = np.lexsort(np.hstack((poses, np.sort(ranges, axis=1))).T[::-1])
     beams = np.lexsort(ranges[stations][::-1])
     labels = recording.plane_of_station[stations]
     seen, first = np.unique(labels, return_index=True)
     planes = seen[np.argsort(first)]
-    order = Order(frozen_indices(stations), frozen_indices(beams), frozen_indices(planes))
-    return recording.readings_in(order.stations, order.beams, order.planes), order
+    return recording.readings_in(stations, beams, planes), Order(stations, beams, planes)

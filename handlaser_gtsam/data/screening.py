@@ -328,13 +328,12 @@ def merged_stations(
     if not row.size:
         return recording, ()
     value = recording.ranges[row, beam]
-    count = np.ones(recording.ranges.shape)
-    if recording.samples is not None:
-        count = recording.samples.copy()
+    samples = recording.samples
+    count = np.ones(recording.ranges.shape) if samples is None else samples.copy()
     # A number for what is one: readings of a beam at one pose if they are copies, else on one visit.
-    _, key = np.unique(group[row] * len(recording.beam_names) + beam, return_inverse=True)
+    key = group[row] * len(recording.beam_names) + beam
     copies = _copies(group[row], key, value, count[row, beam] > 1.0, sigma)
-    visit = np.where(copies, 0, _visits(group)[row])
+    visit = np.where(copies, 0, np.cumsum(np.diff(group, prepend=-1) != 0)[row])
     one = key * (len(group) + 1) + visit
     _, key, several = np.unique(one, return_inverse=True, return_counts=True)
     some = np.flatnonzero(several[key] > 1)
@@ -379,11 +378,6 @@ def _same(sigma: float | None) -> float:
     return max(FINEST_STEP, 0.02 * (sigma or 0.0))
 
 
-def _visits(group: IntArray) -> IntArray:
-    """Return a number (M,) for each run of stations of one group."""
-    return np.asarray(np.cumsum(np.diff(group, prepend=-1) != 0))
-
-
 def pose_groups(recording: Recording) -> IntArray:
     """Return a number (M,) that stations of one plane share where their poses are one.
 
@@ -398,12 +392,12 @@ def pose_groups(recording: Recording) -> IntArray:
         for x in coordinates:
             order = np.lexsort((x[rows], part))
             rows, part = rows[order], part[order]
-            first = (part[1:] != part[:-1]) | (np.diff(x[rows]) > FINEST_STEP)
-            first = np.concatenate(([True], first, [True]))
-            shared = ~(first[:-1] & first[1:])
-            rows, part = rows[shared], np.cumsum(first[:-1])[shared]
-            if not rows.size:
-                return group
+            new = (np.diff(part, prepend=-1) > 0) | (np.diff(x[rows], prepend=np.nan) > FINEST_STEP)
+            part = np.cumsum(new)
+            several = np.bincount(part)[part] > 1
+            rows, part = rows[several], part[several]
+        if not rows.size:
+            return group
         start = np.flatnonzero(np.diff(part, prepend=-1))
         if len(start) == count:
             break

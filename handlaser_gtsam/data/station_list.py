@@ -1,7 +1,7 @@
 """Stations to drive to: hand poses without readings."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,8 +11,15 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import number_array
 from ..errors import InputError
 from ..quantities import TINY
-from .recording import Recording, check_stations, numbered, require_once, store_columns
-from .value import Value
+from .recording import (
+    OF_STATIONS,
+    Recording,
+    check_stations,
+    numbered,
+    require_once,
+    store_columns,
+)
+from .value import Value, fields_at, fields_joined
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -65,16 +72,7 @@ class StationList(Value):
 
     def part(self, which: BoolArray) -> "StationList":
         """Return some of the stations, by a mask (M,)."""
-        names = ("plane_labels", "station_names")
-        labels, stations = (tuple(np.array(getattr(self, one))[which].tolist()) for one in names)
-        return StationList(
-            self.world_R_hand[which],
-            self.world_t_hand[which],
-            labels,
-            stations,
-            None if self.joints is None else self.joints[which],
-            self.joint_names,
-        )
+        return replace(self, **fields_at(self, which, *OF_STATIONS, "joints"))
 
     def joined(self, other: "StationList") -> "StationList":
         """Return these stations, then others; joints where all have them.
@@ -87,14 +85,9 @@ class StationList(Value):
         joints, names = None, self.joint_names
         if self.joints is not None and other.joints is not None and names == other.joint_names:
             joints = np.concatenate((self.joints, other.joints))
-        return StationList(
-            np.concatenate((self.world_R_hand, other.world_R_hand)),
-            np.concatenate((self.world_t_hand, other.world_t_hand)),
-            (*self.plane_labels, *other.plane_labels),
-            (*self.station_names, *other.station_names),
-            joints,
-            () if joints is None else names,
-        )
+        names = () if joints is None else names
+        both = fields_joined((self, other), *OF_STATIONS)
+        return StationList(**both, joints=joints, joint_names=names)
 
     def stops(self, shift: float, turn: float) -> IntArray:
         """Return the first station (M,) where the hand stood as at each: its errors are common to both.

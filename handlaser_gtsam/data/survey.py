@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import BoolArray, FloatArray, IntArray, frozen, frozen_indices
-from ..checks import number_array, require_fields, require_kind, require_number, require_word
+from ..checks import (
+    number_array,
+    require_fields,
+    require_kind,
+    require_names,
+    require_number,
+    require_word,
+)
 from ..errors import CalibrationWarning, InputError
 from ..quantities import LARGEST_LENGTH, WIDEST_CONE
 from ..text import shown, some
@@ -27,7 +34,7 @@ from .recording import (
     stripped_label,
 )
 from .station_list import StationList
-from .value import Value
+from .value import Value, fields_at, fields_joined
 
 Kind = Literal["profiler", "scanner", "array", "points"]
 """Kinds of sensors of many rays."""
@@ -105,7 +112,7 @@ class Shots(Value):
     before: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        names_of("the name of a sensor", (self.name,))
+        require_names("the name of a sensor", (self.name,))
         require_word("kind", self.kind, ERRORS)
         require_word("convention", self.convention, get_args(Convention))
         store = object.__setattr__
@@ -126,8 +133,8 @@ class Shots(Value):
         if self.kind != "profiler" and not (reading > 0.0).all():
             raise InputError(f"ranges of {self.name} that are not above zero", "no such rows")
         store(self, "station", frozen_indices(station))
-        store(self, "across", frozen(across))
-        store(self, "reading", frozen(reading))
+        store(self, "across", across)
+        store(self, "reading", reading)
         require_fields(self, "sigma", above=True)
         require_fields(self, "sigma_across")
         if self.sigma_across and (self.kind != "profiler" or self.sigma is None):
@@ -144,13 +151,12 @@ class Shots(Value):
             if (before <= 0.0).any() or np.isinf(before).any():
                 found = f"echoes before readings of {self.name} that are no ranges"
                 raise InputError(found, "ranges above zero, and NaN where there is none")
-            store(self, "before", frozen(before))
+            store(self, "before", before)
 
     def part(self, which: BoolArray) -> "Shots":
         """Return the same with some of the readings, by a mask (N,)."""
-        before = None if self.before is None else self.before[which]
-        station, across, reading = self.station[which], self.across[which], self.reading[which]
-        return replace(self, station=station, across=across, reading=reading, before=before)
+        columns = "station", "across", "reading", "before"
+        return replace(self, **fields_at(self, which, *columns))
 
     def joined(self, other: "Shots") -> "Shots":
         """Return these readings, then others of the same sensor.
@@ -164,20 +170,14 @@ class Shots(Value):
             if getattr(self, name) != getattr(other, name):
                 found = f"{name} {getattr(other, name)} of {other.name} after {getattr(self, name)}"
                 raise InputError(found, "the same of a sensor in both surveys")
-        before = None
+        columns = fields_joined((self, other), "station", "across", "reading")
+        before, later = (
+            np.full(len(one.reading), np.nan) if one.before is None else one.before
+            for one in (self, other)
+        )
         if self.before is not None or other.before is not None:
-            before = np.concatenate(
-                [
-                    np.full(len(one.reading), np.nan) if one.before is None else one.before
-                    for one in (self, other)
-                ]
-            )
-        columns = [
-            np.concatenate((getattr(self, name), getattr(other, name)))
-            for name in ("station", "across", "reading")
-        ]
-        station, across, reading = columns
-        return replace(self, station=station, across=across, reading=reading, before=before)
+            columns["before"] = np.concatenate((before, later))
+        return replace(self, **columns)
 
     def clear_of(self, limit: float) -> "Shots":
         """Return the same without readings behind an echo nearer than a limit [m].
@@ -291,7 +291,7 @@ class Known(Value):
 
     def __post_init__(self) -> None:
         require_word("relation", self.relation, RELATIONS)
-        names_of("a label", self.of)
+        require_names("a label", self.of)
         object.__setattr__(self, "of", tuple(map(normal_label, self.of)))
         count, groups, fields = RELATIONS[self.relation]
         kinds = {label.partition(":")[0] for label in self.of}
@@ -317,7 +317,7 @@ class Known(Value):
                     raise InputError(f"{name} of shape {array.shape} of {self.words}", f"{shape}")
                 if name == "direction" and self.relation != "position" and not array.any():
                     raise InputError(f"direction 0 of {self.words}", "three numbers, not all zero")
-                object.__setattr__(self, name, frozen(array))
+                object.__setattr__(self, name, array)
         if self.relation in ("radius", "distance") and not self.value > 0.0:
             raise InputError(f"value {self.value:g} m of {self.words}", "a length above zero")
         for name in ("value", "sigma", "sigma_angle"):
@@ -433,7 +433,7 @@ class Survey(Value):
             if ranges.shape != (count, len(self.beam_names)):
                 expected = f"({count}, {len(self.beam_names)}): stations and beams"
                 raise InputError(f"ranges of shape {ranges.shape}", expected)
-            object.__setattr__(self, "ranges", frozen(ranges))
+            object.__setattr__(self, "ranges", ranges)
             unread = np.isnan(ranges).all(axis=0)
             if unread.any():
                 found = f"beam {self.beam_names[int(unread.argmax())]} without any reading"
@@ -480,10 +480,15 @@ class Survey(Value):
         alike = np.stack((self.cones, np.nan_to_num(self.stated_sigmas)))
         return frozen_indices(np.unique(alike, axis=1, return_inverse=True)[1].ravel())
 
+    @property
+    def _of_single(self) -> FloatArray:
+        """What single beams read (M, B) [m]; (M, 0) without any."""
+        return np.empty((len(self.stations), 0)) if self.ranges is None else self.ranges
+
     def _check_labels(self) -> None:
         labels = self.stations.plane_labels
         kinds = np.array([kind_of(label) for label in labels])
-        read = ~np.isnan(np.empty((len(labels), 0)) if self.ranges is None else self.ranges)
+        read = ~np.isnan(self._of_single)
         cone = self.cones > 0.0
         edge = "only a profile shows the edge of a groove"
         for single, which, kind, expected in (
@@ -505,9 +510,8 @@ class Survey(Value):
         for known in self.known:
             for label in known.of:
                 if label not in there:
-                    listed = some(sorted(there), 8)
                     found = f"no {shown(label)}, which is in [[known]]: {known.words}"
-                    raise InputError(found, f"one of {listed}")
+                    raise InputError(found, f"one of {some(sorted(there), 8)}")
 
     def variables(self) -> set[str]:
         """Return the labels of all that a relation can be of: sensors, beams and targets."""
@@ -521,9 +525,7 @@ class Survey(Value):
 
     def stations_read(self) -> BoolArray:
         """Return at which stations (M,) anything was read."""
-        read = np.zeros(len(self.stations), dtype=bool)
-        if self.ranges is not None:
-            read |= ~np.isnan(self.ranges).all(axis=1)
+        read = np.asarray(~np.isnan(self._of_single).all(axis=1))
         for shots in self.shots:
             read[shots.station] = True
         return read
@@ -540,21 +542,14 @@ class Survey(Value):
         if stations.shape != (len(self.stations),) or not (stations & self.stations_read()).any():
             found = f"a choice of stations of shape {stations.shape} in which nothing was read"
             raise InputError(found, f"({len(self.stations)},) of bool, and readings at some")
-        number, shots = np.cumsum(stations) - 1, []
-        for one in self.shots:
-            kept = stations[one.station]
-            if kept.any():
-                some_of = one.part(kept)
-                shots.append(replace(some_of, station=number[some_of.station]))
-        ranges, read = self.ranges, np.zeros(0, np.intp)
-        if ranges is not None:
-            read = np.flatnonzero(~np.isnan(ranges[stations]).all(axis=0))
-            ranges = ranges[stations][:, read] if len(read) else None
+        number, ranges = np.cumsum(stations) - 1, self._of_single[stations]
+        read = np.flatnonzero(~np.isnan(ranges).all(axis=0))
+        shots = [one.part(kept) for one in self.shots if (kept := stations[one.station]).any()]
         part = replace(
             self,
             stations=self.stations.part(stations),
-            shots=tuple(shots),
-            ranges=ranges,
+            shots=tuple(replace(one, station=number[one.station]) for one in shots),
+            ranges=ranges[:, read] if len(read) else None,
             beam_names=tuple(self.beam_names[i] for i in read),
             known=(),
             half_angle=self.cones[read],
@@ -590,12 +585,8 @@ class Survey(Value):
             later = replace(one, station=one.station + len(self.stations))
             earlier = shots.get(one.name)
             shots[one.name] = later if earlier is None else earlier.joined(later)
-        names, ranges = joined_columns(
-            [
-                (of.beam_names, np.empty((len(of.stations), 0)) if of.ranges is None else of.ranges)
-                for of in (self, other)
-            ]
-        )
+        tables = [(one.beam_names, one._of_single) for one in (self, other)]
+        names, ranges = joined_columns(tables)
         return replace(
             self,
             stations=self.stations.joined(other.stations),

@@ -8,13 +8,15 @@ against that; its decorator switches off the methods of the dataclass:
     class Beam(Value): ...
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field
+from itertools import chain
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
+from ..arrays import BoolArray, IntArray
 from ..text import SHOWN_CHARACTERS
 
 SHOWN_ENTRIES = 8
@@ -41,11 +43,8 @@ class Value:
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
-            if type(value) in PLAIN:
-                continue
-            read_only = _read_only(value)
-            if read_only is not value:
-                object.__setattr__(self, name, read_only)
+            if type(value) not in PLAIN:
+                object.__setattr__(self, name, _read_only(value))
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
@@ -66,11 +65,35 @@ class Value:
         parts = []
         for name, field in self.__dataclass_fields__.items():
             value = getattr(self, name)
-            if name.startswith("_"):
-                continue
-            if field.default is MISSING or not same(value, field.default):
+            default = field.default is not MISSING and same(value, field.default)
+            if not (name.startswith("_") or default):
                 parts.append(f"{name}={_short(value)}")
         return f"{type(self).__name__}({', '.join(parts)})"
+
+
+def fields_at(of: Value, rows: IntArray | BoolArray, *names: str) -> dict[str, Any]:
+    """Return some fields, arrays or tuples of texts with an entry a row, at some rows or by a mask.
+
+    None stays None.
+    """
+    found: dict[str, Any] = {}
+    for name in names:
+        column = getattr(of, name)
+        if isinstance(column, tuple):
+            found[name] = tuple(np.array(column)[rows].tolist())
+        else:
+            found[name] = None if column is None else column[rows]
+    return found
+
+
+def fields_joined(values: Sequence[Value], *names: str) -> dict[str, Any]:
+    """Return some fields, arrays or tuples with an entry a row, of several values one after another."""
+    found: dict[str, Any] = {}
+    for name in names:
+        columns = [getattr(of, name) for of in values]
+        whole = isinstance(columns[0], tuple)
+        found[name] = tuple(chain.from_iterable(columns)) if whole else np.concatenate(columns)
+    return found
 
 
 def same(a: object, b: object) -> bool:
