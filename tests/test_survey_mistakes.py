@@ -17,7 +17,6 @@ from benchmarks.rigs import survey_of
 from handlaser_gtsam.errors import SolverError
 from handlaser_gtsam.estimation.survey_rows import rows_of
 from handlaser_gtsam.files.logs.format_checks import convention_of
-from handlaser_gtsam.files.logs.motion import Way
 from handlaser_gtsam.files.logs.survey_conventions import (
     _accused,
     _misfits_of_directions,
@@ -803,7 +802,7 @@ def test_a_single_mistake_in_the_table_of_poses_is_named(how, words):
     survey, numbers, kuka = written_wrong(how)
     if how == "order":  # after all other conventions, none of which fits
         with pytest.raises(hl.InputError, match=words):
-            refuse_wrong_reading(survey, numbers, Way.of_rows(18), kuka)
+            refuse_wrong_reading(survey, numbers, kuka)
         return
     mistakes = list(_single_mistakes(survey.stations))
     with pytest.raises(hl.InputError, match=words):
@@ -832,7 +831,7 @@ def test_a_rough_sensor_does_not_hide_a_wrong_convention():
     R, t = poses_of(numbers, convention_of(kuka))
     wrong = replace(survey, stations=replace(of, world_R_hand=R, world_t_hand=t), shots=shots)
     with pytest.raises(hl.InputError, match=f"pose-format fanuc .*lengths of {fine.name}"):
-        refuse_wrong_reading(wrong, numbers, Way.of_rows(len(of)), kuka)
+        refuse_wrong_reading(wrong, numbers, kuka)
 
 
 def test_shots_of_another_row_are_not_tried_where_labels_take_turns():
@@ -952,7 +951,7 @@ def test_check_says_which_shots_contradict_the_others():
 
 def test_a_right_table_of_poses_is_not_accused_of_a_mistake():
     survey, numbers, kuka = written_wrong("right")
-    assert not refuse_wrong_reading(survey, numbers, Way.of_rows(18), kuka)
+    assert not refuse_wrong_reading(survey, numbers, kuka)
 
 
 @pytest.mark.slow

@@ -91,7 +91,7 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         with in_file(path):
             at = stations.world_R_hand, stations.world_t_hand
             numbers = numbers_of(*at, convention_of(log)) if rows is None else rows.posed
-            warnings += refuse_wrong_reading(survey, numbers, Way.of_rows(len(stations)), log)
+            warnings += refuse_wrong_reading(survey, numbers, log)
     return replace(survey, warnings=warnings)
 
 

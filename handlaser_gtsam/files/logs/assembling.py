@@ -14,6 +14,7 @@ reading in a station moves neither.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from ...results.messages import warned
 from ...text import count, some
 from ..exports.rendering import environment
 from .format import Average, LogFormat, LogReport
-from .joining import JoinedStations, intervals, planes_of
+from .joining import JoinedStations, intervals, planes_of, rows_read
 from .other_conventions import held_poses, refuse_wrong_convention
 from .poses import hand_poses
 
@@ -58,18 +59,12 @@ def assembled(
         found = "range_sigma_from_scatter, and no station at which a reading repeats and scatters"
         raise InputError(found, "repeated readings, or the sigma itself", path)
     planes, chosen, warnings = targets_of(log, given)
-    counted = (log.station >= 0) & chosen[log.station]
-    warnings = (*readings.code_warnings(counted), *warnings)
-    counted_rows = np.where(counted, log.station, -1)
-    how = given.average, range_sigma
-    warnings = (*warnings, *odd_readings(readings.ranges, counted_rows, log.names, *how))
+    counted = np.where(chosen[log.station], log.station, -1)
+    odd = odd_readings(readings.ranges, counted, log.names, given.average, range_sigma)
+    warnings = (*readings.code_warnings(counted >= 0), *warnings, *odd)
     if log.times is not None:  # stations in time: a stand may be without a reading
-        unread = chosen & np.isnan(mean).all(axis=1)
-        chosen = chosen & ~unread
-        if not chosen.any():
-            raise InputError("no reading at any station", "readings at the time of poses", path)
-        if unread.any():
-            warnings = (*warnings, left_out(unread, "have no reading"))
+        chosen, unread = with_readings(chosen, np.asarray(~np.isnan(mean).all(axis=1)), path)
+        warnings = (*warnings, *unread)
     R, t = hand_poses(poses.posed, log.way, given)
     both = (poses,) if readings is poses else (poses, readings)
     rows = np.flatnonzero(chosen)
@@ -87,17 +82,13 @@ def assembled(
     )
     doubts = held_poses(recording)
     doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, given)
-    if doubts:
-        recording = replace(recording, warnings=(*recording.warnings, *doubts))
-    scatter_of = dict(zip(readings.beams, scatters[1:].tolist(), strict=True))
+    recording = replace(recording, warnings=(*recording.warnings, *doubts))
+    scatter_of = zip(readings.beams, scatters[1:].tolist(), strict=True)
     words = environment(__package__, count=count).get_template("log.j2")
     lines = words.render(
+        log=log,
         recording=recording,
         readings=int((~np.isnan(recording.ranges)).sum()),
-        poses=poses.words,
-        joined=log.words,
-        lag=log.lag[0],
-        lag_sigma=log.lag[1],
         repeated=repeated,
         scatter=scatter,
         given=given,
@@ -105,7 +96,7 @@ def assembled(
     return LogReport(
         recording,
         scatter,
-        {name: x for name, x in scatter_of.items() if not math.isnan(x)},
+        {name: x for name, x in scatter_of if not math.isnan(x)},
         log.lag[0],
         log.lag[1] or None,
         tuple(filter(None, lines.splitlines())),
@@ -126,7 +117,7 @@ def targets_of(
         if not chosen.any():
             path = log.poses.table.path
             raise InputError("no station in any range of planes", "ranges with stations", path)
-        warnings = (left_out(~chosen, "are in no range of a plane"),) if not chosen.all() else ()
+        warnings = _left_out(~chosen, "are in no range of a plane")
         return [stated[i][0] if i >= 0 else "" for i in which.tolist()], chosen, warnings
     if given.plane:
         return [given.plane] * len(log.names), every, ()
@@ -140,10 +131,26 @@ def targets_of(
     return log.planes, every, ()
 
 
-def left_out(stations: BoolArray, what: str) -> CalibrationWarning:
-    """Return a warning of stations (S,) that do not count, and why."""
-    values = {"stations": int(stations.sum()), "total": len(stations)}
-    return warned("stations-left-out:log", values, what=what)
+def with_readings(
+    chosen: BoolArray, read: BoolArray, path: Path
+) -> tuple[BoolArray, tuple[CalibrationWarning, ...]]:
+    """Return which chosen stations (S,) have a reading, and a warning of those that have none.
+
+    Raises
+    ------
+    InputError
+        All have none.
+    """
+    if not (chosen & read).any():
+        raise InputError("no reading at any station", "readings at the time of poses", path)
+    return chosen & read, _left_out(chosen & ~read, "have no reading")
+
+
+def _left_out(stations: BoolArray, what: str) -> tuple[CalibrationWarning, ...]:
+    """Return a warning of stations (S,) that do not count, if there are any, and why."""
+    number = int(stations.sum())
+    values = {"stations": number, "total": len(stations)}
+    return (warned("stations-left-out:log", values, what=what),) if number else ()
 
 
 def odd_readings(
@@ -158,25 +165,34 @@ def odd_readings(
     names : sequence of str
         Labels of the stations.
     """
-    pairs = _unlike_pairs(d, station, names, sigma)
-    return (*pairs, *_gross_readings(d, station, names)) if how == "mean" else pairs
+    pairs = _unlike_pairs(d, station, sigma)
+    found = [("gross-readings:two", 2 * len(pairs), pairs)]
+    if how == "mean":
+        found.append(("gross-readings", *_gross_readings(d, station)))
+    return tuple(
+        warned(
+            message,
+            {"readings": readings, "stations": len(odd)},
+            names=some([names[i] for i in sorted(odd)], 5),
+            count=count(len(odd), "station"),
+        )
+        for message, readings, odd in found
+        if odd
+    )
 
 
-def _gross_readings(
-    d: FloatArray, station: IntArray, names: Sequence[str]
-) -> tuple[CalibrationWarning, ...]:
-    """Return a warning of single readings that shift the means of their stations, if there are any.
+def _gross_readings(d: FloatArray, station: IntArray) -> tuple[int, set[int]]:
+    """Return how many single readings shift the means of their stations, and these stations.
 
     Such a reading is more than `FAR_SAMPLE` sigmas from the median of its station, and also from the
     median of itself and its two neighbours: where a hand settles or readings drift, a reading lies
     between its neighbours. Sigma is the larger of the beam's and the station's, by medians, and at
     least the step of rounded readings. A mean is shifted if such readings move it by more than
-    `FAR_SIGMAS` of its standard deviations. Readings `d` and `station` are as of `averaged`, and
-    `names` are the labels of stations.
+    `FAR_SIGMAS` of its standard deviations. Readings `d` and `station` are as of `averaged`.
     """
     gross, shifted = 0, set[int]()
     for column in d.T:
-        parts = [part for part in _repeated(column, station) if len(part) >= 3]
+        parts = [part for part in rows_read(column, station) if len(part) >= 3]
         if not parts:
             continue
         off = [np.abs(column[part] - np.median(column[part])) for part in parts]
@@ -193,17 +209,11 @@ def _gross_readings(
             if single.sum() > FAR_SIGMAS * sigma * math.sqrt(len(part)):
                 gross += len(single)
                 shifted.add(int(station[part[0]]))
-    if not shifted:
-        return ()
-    values = {"readings": gross, "stations": len(shifted)}
-    shown, where = _in_words(shifted, names)
-    return (warned("gross-readings", values, names=shown, count=where),)
+    return gross, shifted
 
 
-def _unlike_pairs(
-    d: FloatArray, station: IntArray, names: Sequence[str], sigma: float | None
-) -> tuple[CalibrationWarning, ...]:
-    """Return a warning of stations whose two readings differ far more than readings of others do.
+def _unlike_pairs(d: FloatArray, station: IntArray, sigma: float | None) -> set[int]:
+    """Return the stations whose two readings differ far more than readings of others do.
 
     The standard deviation of the pair is more than `FAR_SAMPLE` times the median at other stations, and
     more than Student's t allows where these are few; or more than `FAR_SAMPLE` times the stated `sigma`
@@ -211,7 +221,7 @@ def _unlike_pairs(
     """
     unlike = set[int]()
     for column in d.T:
-        parts = [part for part in _repeated(column, station) if len(part) > 1]
+        parts = [part for part in rows_read(column, station) if len(part) > 1]
         parts = [part for part in parts if np.ptp(column[part]) > FINEST_STEP]
         spread = np.array([np.std(column[part], ddof=1) for part in parts])
         others, limit, typical = np.sort(spread)[:-1], np.inf, 0.0  # without the one that is judged
@@ -222,23 +232,7 @@ def _unlike_pairs(
         limit = min(limit, FAR_SAMPLE * max(typical, sigma or UNIT_SIGMA))
         pairs = zip(parts, (spread > limit).tolist(), strict=True)
         unlike |= {int(station[part[0]]) for part, far in pairs if far and len(part) == 2}
-    if not unlike:
-        return ()
-    values = {"readings": 2 * len(unlike), "stations": len(unlike)}
-    shown, where = _in_words(unlike, names)
-    return (warned("gross-readings:two", values, names=shown, count=where),)
-
-
-def _repeated(column: FloatArray, station: IntArray) -> list[IntArray]:
-    """Return the rows of each station that have a reading."""
-    rows = np.flatnonzero(~np.isnan(column) & (station >= 0))
-    rows = rows[np.argsort(station[rows], kind="stable")]
-    return np.split(rows, np.flatnonzero(np.diff(station[rows])) + 1)
-
-
-def _in_words(stations: set[int], names: Sequence[str]) -> tuple[str, str]:
-    """Return the names of some stations, and how many they are."""
-    return some([names[i] for i in sorted(stations)], 5), count(len(stations), "station")
+    return unlike
 
 
 def averaged(

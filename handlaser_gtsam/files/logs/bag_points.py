@@ -21,7 +21,7 @@ from ...errors import CalibrationWarning, InputError
 from ...quantities import LARGEST_LENGTH, MM
 from ...results.messages import warned
 from ...text import shown, some
-from .assembling import averaged, left_out, odd_readings, targets_of
+from .assembling import averaged, odd_readings, targets_of, with_readings
 from .bags import RANGE, SCAN, BeamTopics, Reader, lines_of, read_messages, require_topic
 from .format import LogFormat
 from .joining import by_time
@@ -111,7 +111,9 @@ class PointTopics:
             self.topic_of[sensor].append(number)
 
     def rows(self, path: Path) -> LogRows:
-        """Return a typical reading of each message, sensor after sensor.
+        """Return the median reading of each message, which tells whether it moves, sensor after sensor.
+
+        Zones differ: of each sensor messages of the topic with most of them count, and others are NaN.
 
         Raises
         ------
@@ -123,9 +125,16 @@ class PointTopics:
                 found = f"no point of {name} within the limits of its messages"
                 raise InputError(found, f"at least one, on {some(own, 4)}")
         times = np.concatenate([np.frombuffer(own) for own, _ in self.clouds])
-        read = _typical([rows for _, rows in self.clouds], self.topic_of)
-        names = tuple(name for name, *_ in self.sensors)
-        return LogRows(lines_of(path, len(times)), names, read, times=times)
+        names, read = tuple(name for name, *_ in self.sensors), []
+        for (_, numbers), topics in zip(self.clouds, self.topic_of, strict=True):
+            often = Counter(topics).most_common(1)[0][0]
+            read += [
+                np.median(rows[:, -1]) if topic == often else np.nan
+                for rows, topic in zip(numbers, topics, strict=True)
+            ]
+        whose = np.repeat(np.arange(len(names)), list(map(len, self.topic_of)))
+        d = np.where(whose[:, None] == np.arange(len(names)), np.array(read)[:, None], np.nan)
+        return LogRows(lines_of(path, len(times)), names, d, times=times)
 
     def points(self, station: IntArray) -> list[tuple[IntArray, FloatArray]]:
         """Return the station and the numbers of each point, by the station of each message or -1."""
@@ -176,12 +185,8 @@ def read_bag_points(
     labels, chosen, warnings = targets_of(log, given)
     seen = np.zeros(len(log.names), dtype=bool)
     seen[log.station[log.station >= 0]] = True
-    unread = chosen & ~seen
-    if unread.any():
-        warnings = (*warnings, left_out(unread, "have no reading"))
-    kept = np.flatnonzero(seen & chosen)
-    if not kept.size:
-        raise InputError("no reading at any station", "readings at the time of poses", path)
+    chosen, unread = with_readings(chosen, seen, path)
+    warnings, kept = (*warnings, *unread), np.flatnonzero(chosen)
     number = np.full(len(log.names) + 1, -1)
     number[kept] = np.arange(len(kept))
     station = number[log.station]
@@ -189,7 +194,11 @@ def read_bag_points(
     names = tuple(log.names[i] for i in kept.tolist())
     stations = StationList(R[kept], t[kept], tuple(labels[i] for i in kept.tolist()), names)
     if given.interpolate:
-        warnings = (*warnings, *_skewed(points.lasts))
+        skewed = {name: time for name, time in points.lasts.items() if time > SHORT_SCAN}
+        warnings += tuple(
+            warned("scan-while-moving", {"sensor": name, "lasts_s": time})
+            for name, time in skewed.items()
+        )
     ranges = None
     if single is not None:
         own = readings.ranges[:, len(sensors) :]
@@ -235,32 +244,6 @@ def _require_once(found: Mapping[str, Reader], topic: str) -> None:
     """
     if topic in found:
         raise InputError(f"topic {shown(topic)} twice", "one sensor, zone or beam of each")
-
-
-def _skewed(lasts: Mapping[str, float]) -> tuple[CalibrationWarning, ...]:
-    """Return warnings of scans that take long [s], by the scanner, of a hand that moves meanwhile."""
-    return tuple(
-        warned("scan-while-moving", {"sensor": name, "lasts_s": time})
-        for name, time in lasts.items()
-        if time > SHORT_SCAN
-    )
-
-
-def _typical(
-    points: Sequence[Sequence[FloatArray]], topic_of: Sequence[Sequence[int]]
-) -> FloatArray:
-    """Return the median reading of each of M messages (M, sensors), which tells whether it moves.
-
-    Zones differ: of each sensor messages of the topic with most of them count, and others are NaN.
-    """
-    found = np.full((sum(map(len, topic_of)), len(topic_of)), np.nan)
-    begin = 0
-    for sensor, (messages, topics) in enumerate(zip(points, topic_of, strict=True)):
-        often = Counter(topics).most_common(1)[0][0]
-        some = [i for i, topic in enumerate(topics) if topic == often]
-        found[[begin + i for i in some], sensor] = [np.median(messages[i][:, -1]) for i in some]
-        begin += len(topics)
-    return found
 
 
 def _scan(message: Any, _: int) -> FloatArray:

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
 from ...checks import imported
-from ...errors import CalibrationWarning, HandlaserError, InputError
+from ...errors import HandlaserError, InputError
 from ...model.conventions import LENGTHS
 from ...progress import tell
 from ...quantities import IN_DEG, LARGEST_LENGTH, ROWS_AT_ONCE
@@ -97,19 +97,6 @@ def _opened(path: Path) -> Iterator[Any]:
         raise InputError(found, expected, path) from error
 
 
-def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
-    """Return the poses and the readings of a bag, in the order of time.
-
-    Raises
-    ------
-    InputError
-        Topics that are not there or not of their type, or no poses or readings in them.
-    """
-    beams = BeamTopics(given)
-    poses = read_messages(path, given, beams.readers)
-    return poses, beams.rows(path)
-
-
 class BeamTopics:
     """Topics that beams read on: those that are stated, or all of `Range`.
 
@@ -156,7 +143,7 @@ class BeamTopics:
                 self.numbers[name].extend((time + delay, unit * d))
 
     def rows(self, path: Path) -> LogRows:
-        """Return what was read, in the order of time.
+        """Return what was read, in the order of time, with a warning of topics of ultrasonic sensors.
 
         Raises
         ------
@@ -167,16 +154,30 @@ class BeamTopics:
             if not len(self.numbers[name]):
                 found = f"no reading of beam {name} within the limits of its messages, on {topic}"
                 raise InputError(found, "at least one, or the other topics by --range-columns")
-        readings = _readings(self.numbers, path)
-        return readings._replace(warnings=(*readings.warnings, *_of_cones(self.cones)))
-
-
-def _of_cones(cones: Mapping[str, float]) -> Iterator[CalibrationWarning]:
-    """Warn of topics whose messages say that they are of ultrasonic sensors."""
-    if cones:
-        topics, widest = some(list(cones), 8), max(cones.values()) * IN_DEG
-        words = {"topics": topics, "widest": f"{widest:.3g}", "half": f"{widest / 2.0:.3g}"}
-        yield warned(f"{NO_HALF_ANGLE}:messages", {"beams": len(cones)}, **words)
+        rows = []
+        for of_beam in self.numbers.values():
+            x = np.frombuffer(of_beam, dtype=np.float64).reshape(-1, 2)
+            rows.append(x[np.argsort(x[:, 0], kind="stable")])
+        time, value = np.concatenate(rows).T
+        # A second reading of a beam at the same moment gets a row of its own.
+        again = np.concatenate(
+            [np.arange(len(x)) - np.searchsorted(x[:, 0], x[:, 0]) for x in rows]
+        )
+        order = np.lexsort((again, time))
+        first = np.diff((time[order], again[order]), prepend=-1.0).any(axis=0)
+        row = np.empty(len(time), dtype=np.intp)
+        row[order] = np.cumsum(first) - 1
+        d = np.full((int(first.sum()), len(rows)), np.nan)
+        d[row, np.repeat(np.arange(len(rows)), list(map(len, rows)))] = value
+        times = time[order][first]
+        readings = LogRows(lines_of(path, len(d)), tuple(self.numbers), d, times=times)
+        if not self.cones:
+            return readings
+        widest = max(self.cones.values()) * IN_DEG
+        words = {"widest": f"{widest:.3g}", "half": f"{widest / 2.0:.3g}"}
+        words["topics"] = some(list(self.cones), 8)
+        warning = warned(f"{NO_HALF_ANGLE}:messages", {"beams": len(self.cones)}, **words)
+        return readings._replace(warnings=(warning,))
 
 
 def read_messages(
@@ -208,10 +209,11 @@ def read_messages(
         for message, topic, received in _messages(reader, wanted, topics, by_topic=by_topic):
             static = topic.endswith(STATIC)
             for one in message.transforms if topics[topic] in TRANSFORMS else (message,):
-                time = None if given.receive_time else _stamp(one)
+                at = one.header.stamp  # zero of drivers that write none
+                has_stamp = not given.receive_time and bool(at.sec or at.nanosec)
                 if not static:
-                    with_stamp[time is not None].add(topic)
-                time = 1e-9 * received if time is None else time
+                    with_stamp[has_stamp].add(topic)
+                time = float(at.sec + 1e-9 * at.nanosec) if has_stamp else 1e-9 * received
                 if topic not in poses:
                     readers[topic](one, time)
                 elif frames is None:
@@ -230,8 +232,7 @@ def read_messages(
             warnings.append(warned("several-publishers", {"topic": topic, "publishers": count}))
     never = with_stamp[False] - with_stamp[True]
     if with_stamp[True] and never:
-        some_topics = some(sorted(never), 8)
-        warnings.append(warned("no-stamps", {"topics": some_topics}))
+        warnings.append(warned("no-stamps", {"topics": some(sorted(never), 8)}))
     if frames is not None and frames.lost:
         name, rows = frames.lost.most_common(1)[0]
         values = {"rows": rows, "total": len(x) + frames.lost.total()}
@@ -251,26 +252,6 @@ def read_messages(
 def lines_of(path: Path, count: int) -> FileTable:
     """Return a table without cells, whose rows have the numbers from 1 on."""
     return FileTable(pl.DataFrame(), path, 0, np.arange(1, count + 1, dtype=np.intp), False)
-
-
-def _readings(numbers: "Mapping[str, array[float]]", path: Path) -> LogRows:
-    """Return the readings of beams, with one row for each moment.
-
-    A second reading of a beam at the same moment gets a row of its own.
-    """
-    rows = []
-    for of_beam in numbers.values():
-        x = np.frombuffer(of_beam, dtype=np.float64).reshape(-1, 2)
-        rows.append(x[np.argsort(x[:, 0], kind="stable")])
-    time, value = np.concatenate(rows).T
-    again = np.concatenate([np.arange(len(x)) - np.searchsorted(x[:, 0], x[:, 0]) for x in rows])
-    order = np.lexsort((again, time))
-    new = (np.diff(time[order], prepend=-np.inf) > 0.0) | (np.diff(again[order], prepend=-1) != 0)
-    row = np.empty(len(time), dtype=np.intp)
-    row[order] = np.cumsum(new) - 1
-    d = np.full((int(new.sum()), len(rows)), np.nan)
-    d[row, np.repeat(np.arange(len(rows)), [len(x) for x in rows])] = value
-    return LogRows(lines_of(path, len(d)), tuple(numbers), d, times=time[order][new])
 
 
 def _messages(
@@ -304,12 +285,6 @@ def _messages(
                 expected = "one publisher of one frame; record each on a topic of its own"
                 raise InputError(found, expected)
         yield message, one.topic, received
-
-
-def _stamp(message: Any) -> float | None:
-    """Return the stamp of a header [s]; None where it is zero, as of drivers that write none."""
-    stamp = message.header.stamp
-    return float(stamp.sec + 1e-9 * stamp.nanosec) if stamp.sec or stamp.nanosec else None
 
 
 def _beams(topics: Mapping[str, str], given: LogFormat) -> dict[str, Place]:
@@ -518,12 +493,8 @@ class Frames:
         for names in self.way:  # from hand and world up to the frame that both have above them
             R, t = Rotation.identity(len(time)), np.zeros((len(time), 3))
             for name in names:
-                x = rows[name]
-                if name in self.static:
-                    last = np.repeat(x[-1:], len(time), axis=0)
-                    S, s = Rotation.from_quat(last[:, 4:]), last[:, 1:4]
-                else:
-                    S, s = interpolated(x[:, 4:], x[:, 1:4], *neighbours(x[:, 0], time))
+                x = rows[name][-1:] if name in self.static else rows[name]
+                S, s = interpolated(x[:, 4:], x[:, 1:4], *neighbours(x[:, 0], time))
                 R, t = S * R, s + S.apply(t)
             chains.append((R, t))
         (R, t), (S, s) = chains

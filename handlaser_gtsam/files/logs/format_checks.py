@@ -3,7 +3,7 @@
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
-from ...checks import require_bool, require_number, require_word
+from ...checks import require_bool, require_fields, require_number, require_word
 from ...errors import ArgumentError, InputError
 from ...model.conventions import EULER, FORMATS, Convention, spelled_columns
 from ...quantities import LARGEST_LENGTH
@@ -33,11 +33,9 @@ def check_format(given: "LogFormat") -> None:
     _check_kinds(given)
     if given.delimiter:
         require_word("delimiter", given.delimiter, DELIMITERS)
-    largest = {"tolerance_s": LARGEST_LENGTH, "stand_s": LARGEST_LENGTH}
-    for name, most in (largest | {"stand_mm": 1e3, "stand_deg": 180.0}).items():
-        value, unit = getattr(given, name), name.rpartition("_")[2]
-        if value is not None or name != "tolerance_s":
-            require_number(name, value, 0.0, most, above=True, unit=unit)
+    require_fields(given, "tolerance_s", "stand_s", above=True, unit="s")
+    require_fields(given, "stand_mm", most=1e3, above=True, unit="mm")
+    require_fields(given, "stand_deg", most=180.0, above=True, unit="deg")
     # A clock that counts from 1970 and one that counts from its start differ by less.
     most = 1e4 * LARGEST_LENGTH
     require_number("lag_s", given.lag_s, -most, most, unit="s")

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ...data.recording import first_repeated, numbered
+from ...data.recording import first_repeated, names_and_numbers, numbered
 from ...data.screening import rounding
 from ...errors import CalibrationWarning, InputError
 from ...model.conventions import FORMATS, TIME_UNITS, poses_of
@@ -74,7 +74,7 @@ def one_table(rows: LogRows, given: LogFormat) -> JoinedStations:
     if rows.columns.range and rows.stations is None:
         expected = "a column station, or its name by --station-column"
         raise InputError("a long table without stations", expected, rows.table.path)
-    names, group = _groups(rows.names)
+    names, group = names_and_numbers(rows.names)
     way = Way.of_groups(group)
     first, words = way.row[way.start], ""
     if len(names) < len(group):
@@ -98,12 +98,6 @@ def _planes_by_station(rows: LogRows, station: IntArray) -> dict[int, str]:
             wrong = np.arange(len(station)) == row
             rows.table.refuse(wrong, rows.columns.plane, "one plane a station", found_so)
     return found
-
-
-def _groups(labels: Sequence[str]) -> tuple[list[str], IntArray]:
-    """Return the labels, in their order, and the number of each row's."""
-    number = {name: i for i, name in enumerate(dict.fromkeys(labels))}
-    return list(number), np.array([number[name] for name in labels], dtype=np.intp)
 
 
 def _refuse_other_pose(
@@ -222,18 +216,16 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> JoinedStatio
             column = poses.columns.time
             _refuse_other_pose(poses, given, again, again - 1, column, whose, expected)
         row, off = nearest(clock, wanted)
-        near = off <= tolerance
+        near, words = off <= tolerance, "the nearest pose"
+        if given.interpolate:
+            near, words = bracketed(clock, wanted, tolerance), "a pose between its neighbours"
+            needed = "poses before and after it within the tolerance"
         if given.interpolate or len(clock) >= len(wanted):
-            words = "the nearest pose"
-            if given.interpolate:
-                near, words = bracketed(clock, wanted, tolerance), "a pose between its neighbours"
-                needed = "poses before and after it within the tolerance"
             kept = np.flatnonzero(near)
-            station, times = np.cumsum(near) - 1, wanted[kept]
+            station, times, every_name = np.cumsum(near) - 1, wanted[kept], readings.names
             way = Way(row[kept], np.arange(len(kept), dtype=np.intp))
             if given.interpolate:
                 way = Way.between(clock, times)
-            every_name = readings.names
             names = tuple(every_name[i] for i in kept.tolist())
             labels = (readings, kept), (poses, row[kept])
             twice = first_repeated(names)
@@ -244,10 +236,9 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> JoinedStatio
             words = f"{len(kept)} rows of readings, each with {words}"
             warnings = _unmatched(near, "have no pose within the tolerance")
         else:
-            every, station, times, names = np.arange(len(clock)), row, clock, tuple(poses.names)
-            labels = (poses, every), (readings, nearest(wanted, clock)[0])
-            way = Way.of_rows(len(every))
-            words = f"{len(every)} poses, each with the readings within {tolerance:g} s: "
+            way, station, times, names = Way.of_rows(len(clock)), row, clock, tuple(poses.names)
+            labels = (poses, way.row), (readings, nearest(wanted, clock)[0])
+            words = f"{len(clock)} poses, each with the readings within {tolerance:g} s: "
             words += f"{int(near.sum())} of {len(near)} rows"
     if not near.any():
         far = nearest(clock, wanted)[1].min()
@@ -296,10 +287,8 @@ def _moving_readings(
     found: dict[str, set[str]] = {"begin": set(), "end": set()}
     stops, off = set[int](), list[float]()
     for name, column in zip(readings.beams, readings.ranges.T, strict=True):
-        rows = np.flatnonzero(~np.isnan(column) & (station >= 0))
-        rows = rows[np.argsort(station[rows], kind="stable")]
-        parts = np.split(rows, np.flatnonzero(np.diff(station[rows])) + 1)
-        parts = [part for part in parts if len(part) >= 4]  # two ends, and two between
+        every = rows_read(column, station)
+        parts = [part for part in every if len(part) >= 4]  # two ends, and two between
         if len(parts) < 3:  # of which one alone would be more than a quarter
             continue
         middles = np.array([np.median(column[part]) for part in parts])
@@ -313,7 +302,8 @@ def _moving_readings(
         far = np.abs(far - middles)
         noise = FAR_SIGMAS * np.quantile(within, 0.9) / gaussian_quantile(0.95)
         moved = given.stand_mm * MM + np.radians(given.stand_deg) * np.abs(middles)
-        beyond = far > np.maximum(noise, moved) + 2.0 * rounding(column[rows])
+        step = 2.0 * rounding(column[np.concatenate(every)])
+        beyond = far > np.maximum(noise, moved) + step
         for end, k in (("begin", 0), ("end", 1)):
             if beyond[k].mean() - beyond[2].mean() > OFTEN:
                 found[end].add(name)
@@ -329,6 +319,13 @@ def _moving_readings(
     return (warned("moving-readings", values, **words),)
 
 
+def rows_read(column: FloatArray, station: IntArray) -> list[IntArray]:
+    """Return the rows of each station that have a reading in a column (M,), by their stations (M,)."""
+    rows = np.flatnonzero(~np.isnan(column) & (station >= 0))
+    rows = rows[np.argsort(station[rows], kind="stable")]
+    return np.split(rows, np.flatnonzero(np.diff(station[rows])) + 1)
+
+
 def _lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> tuple[float, float]:
     """Return how much later readings are stamped than poses, from their motion, and its sigma [s].
 
@@ -337,22 +334,33 @@ def _lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> tuple[float,
     InputError
         The planes are not known in time, or the motion does not tell.
     """
-    track, begin = _track_of(poses, given), float(poses.clock[0])
-    stated, time, pose_times = intervals(given), readings.clock, poses.clock
-    by_row = stated and not given.stands and not isinstance(stated[0][1], float)
-    of_poses = len(pose_times) < len(time) if by_row else readings.planes is None
+    track, clock, stated = _track_of(poses, given), poses.clock, intervals(given)
+    in_time = bool(stated) and isinstance(stated[0][1], float)
+    by_row = bool(stated) and not given.stands and not in_time
+    of_poses = len(clock) < len(readings.clock) if by_row else readings.planes is None
     rows = poses if of_poses else readings
     if by_row:
-        known = planes_of(stated, rows.names, None, begin)
+        known = planes_of(stated, rows.names, None, clock[0])
     else:
-        known = _groups(rows.planes or [""] * len(rows.names))[1]
+        known = names_and_numbers(rows.planes or [""] * len(rows.names))[1]
+    if stated and not in_time and not by_row:  # stations are the moments at which the hand stands
+        first, last, _ = find_stands(track, given)
+        number = planes_of(stated, numbered(len(first)), None, clock[0])
 
     def plane_of(moments: FloatArray) -> IntArray:
-        if stated and not by_row:
-            return planes_in_time(track, moments, given, begin)
-        return known[nearest(pose_times, moments)[0]] if of_poses else known
+        """Return which plane each time (N,) on the clock of the poses belongs to, -1 for none."""
+        if in_time:
+            return planes_of(stated, [""] * len(moments), moments, clock[0])
+        if by_row or not stated:
+            return known[nearest(clock, moments)[0]] if of_poses else known
+        plane = np.full(len(moments), -1, dtype=np.intp)
+        for index in np.unique(number[number >= 0]).tolist():
+            own = np.flatnonzero(number == index)
+            within = (moments >= clock[first[own[0]]]) & (moments <= clock[last[own[-1]]])
+            plane[within] = index
+        return plane
 
-    return estimated_lag(track, time, readings.ranges, plane_of, given.lag_s)
+    return estimated_lag(track, readings.clock, readings.ranges, plane_of, given.lag_s)
 
 
 def _track_of(poses: LogRows, given: LogFormat) -> Track:
@@ -492,24 +500,3 @@ def planes_of(
             raise InputError(found_so, "every station in one range")
         which[inside] = index
     return which
-
-
-def planes_in_time(track: Track, time: FloatArray, given: LogFormat, begin: float) -> IntArray:
-    """Return which plane each time (N,) on the clock of the poses belongs to, -1 for none.
-
-    Intervals of stations count the moments at which the hand stands.
-    """
-    found = intervals(given)
-    if not found:
-        return np.zeros(len(time), dtype=np.intp)
-    if isinstance(found[0][1], float):
-        return planes_of(found, [""] * len(time), time, begin)
-    first, last, _ = find_stands(track, given)
-    names = [str(i + 1) for i in range(len(first))]
-    which = planes_of(found, names, None, begin)
-    plane = np.full(len(time), -1, dtype=np.intp)
-    for index in np.unique(which[which >= 0]).tolist():
-        own = np.flatnonzero(which == index)
-        within = (time >= track.time[first[own[0]]]) & (time <= track.time[last[own[-1]]])
-        plane[within] = index
-    return plane

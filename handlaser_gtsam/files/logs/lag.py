@@ -37,7 +37,6 @@ maxima of both are candidates only: the range equation judges them.
 
 import math
 from collections.abc import Callable
-from functools import partial
 from itertools import zip_longest
 from typing import NamedTuple
 
@@ -467,8 +466,12 @@ def _activity(columns: FloatArray) -> FloatArray:
 
 def _velocities(track: Track, step: float) -> FloatArray:
     """Return velocities of position and turn (M, 6) in steps from the first time on, scaled to 1."""
-    x = np.hstack((track.position, track.steady))
-    late, early = _sides(track.time, x, step)
+    columns = np.hstack((track.position, track.steady)).T
+    grid, apart = np.arange(track.time[0], track.time[-1], step), HALF_WIDTH * step
+    late, early = (
+        np.stack([np.interp(when, track.time, column) for column in columns], axis=1)
+        for when in (grid + apart, grid - apart)
+    )
     late_turn, early_turn = Rotation.from_quat(late[:, 3:]), Rotation.from_quat(early[:, 3:])
     turn = (late_turn * early_turn.inv()).as_rotvec()
     w = np.hstack((late[:, :3] - early[:, :3], turn))
@@ -478,24 +481,16 @@ def _velocities(track: Track, step: float) -> FloatArray:
 def _rates(time: FloatArray, d: FloatArray, step: float) -> FloatArray:
     """Return rates of the beams that read (N, B) in steps from the first time on, scaled to 1."""
     columns = []
+    grid, apart = np.arange(time[0], time[-1], step), HALF_WIDTH * step
     for column in d.T:
-        read = np.flatnonzero(~np.isnan(column))
-        if len(read) > 1:
-            ends = np.interp(time[[0, -1]], time[read], column[read])
-            t = np.concatenate((time[:1], time[read], time[-1:]))
-            x = np.concatenate((ends[:1], column[read], ends[1:]))
-            late, early = _sides(t, x[:, None], step)
-            rate = (late - early)[:, 0]
+        read = ~np.isnan(column)
+        if read.sum() > 1:
+            late, early = (
+                np.interp(when, time[read], column[read]) for when in (grid + apart, grid - apart)
+            )
+            rate = late - early
             # Faster ones come from a change of planes.
             most = FAR_SIGMAS * np.sqrt((rate**2).mean())
             rate = np.clip(rate, -most, most)
             columns.append(rate / max(float(np.linalg.norm(rate)), SINGULAR))
     return np.stack(columns, axis=1) if columns else np.zeros((1, 0))
-
-
-def _sides(time: FloatArray, x: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
-    """Return columns (N, k) a little after and a little before each step."""
-    grid = np.arange(time[0], time[-1], step)
-    late, early = grid + HALF_WIDTH * step, grid - HALF_WIDTH * step
-    at = partial(np.apply_along_axis, lambda column, when: np.interp(when, time, column), 0, x)
-    return at(late), at(early)

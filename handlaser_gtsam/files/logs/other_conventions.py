@@ -51,10 +51,8 @@ MOVED = 0.02
 """Readings at one pose that differ by more than this part of the typical range are from several."""
 BETTER = 6.25
 """A convention is named where it lowers the squared residual by this factor: a factor of 4 accused one
-of 150 right logs, a third of which had a fifth of their readings wrong."""
-WELL = POOR_START**2
-"""A convention is named where it leaves at most this part of the variance: of a log that fits in no way
-the best way says nothing."""
+of 150 right logs, a third of which had a fifth of their readings wrong. It must be no poor fit itself:
+of a log that fits in no way the best way says nothing."""
 LEAST_OF_BEAM, LEAST_SPARE = 24, 10
 """Readings of one beam, and readings beyond the unknowns, that tell one convention from another: fewer
 than for other mistakes, because the other convention must fit well, too."""
@@ -174,7 +172,7 @@ def _better(part: Recording, others: Sequence[Rereading]) -> tuple[float, str] |
             return None
         near = partial(measure, reach=FAR_BEAM)
         for best, way in misfits(part, others, near)[:1]:
-            if best <= min(now / BETTER, WELL):
+            if best <= min(now / BETTER, POOR_START**2):
                 return now / best, way.words
     return None
 

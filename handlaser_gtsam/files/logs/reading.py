@@ -14,7 +14,7 @@ from ..recording_csv import POSE
 from ..table import read_table
 from ..writing import path_of
 from .assembling import assembled
-from .bags import METADATA, is_bag, read_bag
+from .bags import METADATA, BeamTopics, is_bag, read_messages
 from .columns import columns_of, formats_in
 from .format import LogFormat, LogReport
 from .joining import JoinedStations, by_station, by_time, one_table, refuse_other_units
@@ -94,7 +94,10 @@ def describe_log(
     with in_file(path):
         if is_bag(path):
             refuse_of_a_bag(given, path)
-            stations = by_time(*read_bag(path, given), replace(given, stands=not given.interpolate))
+            beams = BeamTopics(given)
+            poses = read_messages(path, given, beams.readers)
+            in_time = replace(given, stands=not given.interpolate)
+            stations = by_time(poses, beams.rows(path), in_time)
         else:
             stations = _of_tables(path, given, sensor)
         return assembled(stations, given, sensor, range_sigma)

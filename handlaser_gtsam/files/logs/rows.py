@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 
 from ...arrays import BoolArray, FloatArray
+from ...data.recording import names_and_numbers
 from ...errors import CalibrationWarning, InputError
 from ...model.conventions import LENGTHS, TIME_UNITS
 from ...model.sensor_limits import Sensor
@@ -37,8 +38,8 @@ class LogRows(NamedTuple):
     beams : names
     ranges : (M, B)
         [m]; of a long table each row has one reading.
-    poses : (M, k) or None
-        The numbers of poses.
+    posed : (M, k)
+        The numbers of poses; (0, 0) where there are none.
     planes, stations : M labels, or None
     times : (M,) or None
         [s]
@@ -55,7 +56,7 @@ class LogRows(NamedTuple):
     table: FileTable
     beams: tuple[str, ...]
     ranges: FloatArray
-    poses: FloatArray | None = None
+    posed: FloatArray = np.empty((0, 0))
     planes: Sequence[str] | None = None
     stations: Sequence[str] | None = None
     times: FloatArray | None = None
@@ -77,12 +78,6 @@ class LogRows(NamedTuple):
         """The times of rows that have some."""
         assert self.times is not None
         return self.times
-
-    @property
-    def posed(self) -> FloatArray:
-        """The numbers (M, k) of poses of rows that have some."""
-        assert self.poses is not None
-        return self.poses
 
     def code_warnings(self, counted: BoolArray) -> tuple[CalibrationWarning, ...]:
         """Return a warning for each code for "no reading" among the rows that are `counted` (M,)."""
@@ -128,8 +123,7 @@ def rows_of(
     lengths = [columns.range] if columns.range else list(columns.beams.values())
     if given.decimal is None:
         _refuse_thousands(table, [*columns.pose, *lengths])
-    numbers: FloatArray | None = None
-    how = ""
+    numbers, how = np.empty((0, 0)), ""
     if columns.pose:
         numbers, doubts = _pose_numbers(table, columns.pose, given)
         warnings += doubts
@@ -165,15 +159,12 @@ def rows_of(
 
 def _wide(table: FileTable, columns: Columns, d: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
     """Return the beams of a long table, and its readings (M, 1) in a column of their beam (M, B)."""
-    whose = labels(table, columns.beam)
-    beams = tuple(dict.fromkeys(whose))
+    beams, whose = names_and_numbers(labels(table, columns.beam))
     if len(beams) > MOST_BEAMS:
         found, expected = f"{len(beams)} beams, {some(beams, 4)}", "is --beam-column right?"
         expected = f"at most {MOST_BEAMS}; {expected}"
         raise InputError(found, expected, table.path, None, columns.beam)
-    number = {beam: i for i, beam in enumerate(beams)}
-    mine = np.array([number[beam] for beam in whose])[:, None] == np.arange(len(beams))
-    return beams, np.where(mine, d, np.nan)
+    return beams, np.where(whose[:, None] == np.arange(len(beams)), d, np.nan)
 
 
 def _pose_numbers(

@@ -25,7 +25,7 @@ from ...errors import CalibrationWarning
 from ...estimation.survey_rows import SurveyRows, blocks_of, rows_of
 from ...estimation.survey_starts import start_of
 from ...model.condensed_shots import Mixed
-from ...model.conventions import LENGTHS, UNIT_WORDS
+from ...model.conventions import LENGTHS, UNIT_WORDS, inverted, poses_of
 from ...model.families import pose_of
 from ...model.geometry import normalized
 from ...model.sensors.mounted import SENSOR
@@ -35,6 +35,7 @@ from ...results.messages import MISTAKES
 from ...results.rereading import MUCH_BETTER, Rereading, misfits
 from ...results.warnings import FAR_BEAM
 from ...starts import Effort
+from ...starts.choice import POOR_START
 from .format import LogFormat
 from .format_checks import convention_of
 from .motion import Way
@@ -44,7 +45,6 @@ from .other_conventions import (
     FITS,
     LEAST_SPARE,
     MOST_STATIONS,
-    WELL,
     accused,
     alternatives,
     good_square,
@@ -56,7 +56,7 @@ SAME_VIEW = 0.03
 
 
 def refuse_wrong_reading(
-    survey: Survey, numbers: FloatArray, way: Way, given: LogFormat
+    survey: Survey, numbers: FloatArray, given: LogFormat
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a survey that fits a hundredfold better read another way; warn where it is less.
 
@@ -68,9 +68,7 @@ def refuse_wrong_reading(
     survey : Survey
         As the log is read.
     numbers : (M, k)
-        Poses as the log has them.
-    way : Way
-        How stations get theirs from these.
+        The pose of each station as the log has it.
     given : LogFormat
         How the log is written; a recording is one in metres and quaternions.
 
@@ -80,8 +78,8 @@ def refuse_wrong_reading(
         It fits so, and is not to be read `as_stated` in any case.
     """
     warnings: tuple[CalibrationWarning, ...] = ()
-    poses = list(alternatives(numbers, way, given))
-    mistakes = [*_single_mistakes(survey.stations), *_other_orders(numbers, way, given)]
+    poses = list(alternatives(numbers, Way.of_rows(len(numbers)), given))
+    mistakes = [*_single_mistakes(survey.stations), *_other_orders(numbers, given)]
     many = [len(np.unique(shots.station)) for shots in survey.shots]
     noise = [_noise(survey, shots) if len(many) > 1 else 0.0 for shots in survey.shots]
     order = sorted(range(len(many)), key=lambda i: (2 * many[i] < max(many), noise[i]))
@@ -112,7 +110,7 @@ def _single_mistakes(stations: StationList) -> Iterator[Rereading]:
         yield Rereading(said, partial(scaled, positions=factors), "glance")
 
 
-def _other_orders(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Rereading]:
+def _other_orders(numbers: FloatArray, given: LogFormat) -> Iterator[Rereading]:
     """Yield the same numbers with those of the rotations in another order, of three a rotation."""
     convention, places = convention_of(given), 3
     if numbers.shape[1] != 2 * places:
@@ -120,7 +118,8 @@ def _other_orders(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[R
 
     def ordered(order: tuple[int, ...], recording: Recording) -> Recording:
         columns = [*range(places), *(places + i for i in order)]
-        R, t = way.poses(numbers[:, columns], convention, inverse=given.inverted)
+        R, t = poses_of(numbers[:, columns], convention)
+        R, t = inverted(R, t) if given.inverted else (R, t)
         return replace(recording, world_R_hand=R, world_t_hand=t)
 
     _, *orders = permutations(range(places))
@@ -178,7 +177,7 @@ def _accused(
         best = min((value for value, _ in found), default=np.inf)
         # Of a table nothing is suspected: a range offset fits twice better with other angles, too.
         better = BETTER if cure is CURE else MUCH_BETTER
-        if best <= min(now / better, WELL):
+        if best <= min(now / better, POOR_START**2):
             # Of several ways those are named whose misfit is within this factor of the least.
             words = " or ".join(words for value, words in found if value <= 4.0 * best)
             more = f", and lengths of {shots.name} as they are read"
@@ -207,12 +206,9 @@ def _misfits_of_columns(survey: Survey, shots: Shots) -> list[tuple[float, str]]
             other = Shots.profiler(shots.name, shots.station, *numbers.T)
         else:
             other = Shots.points(shots.name, shots.station, numbers)
-        rows = _part(survey, other)
-        variance = _variance(rows)
-        if variance:
-            words = f"{UNIT_WORDS[unit]} among {UNIT_WORDS[among]}"
-            words = f"the column {name} of {shots.name} is {times:.4g} times as large ({words})"
-            found.append((max(_misfit(rows, 1.0) / variance, TINY), words))
+        words = f"{UNIT_WORDS[unit]} among {UNIT_WORDS[among]}"
+        words = f"the column {name} of {shots.name} is {times:.4g} times as large ({words})"
+        found.append((_misfit_of(survey, other), words))
     return found
 
 
@@ -228,9 +224,7 @@ def _misfits_of_directions(survey: Survey, shots: Shots) -> Iterator[tuple[float
 
     def misfit(*factors: float) -> float:
         """Return the misfit where the coordinates of all directions are multiplied."""
-        rows = _part(survey, replace(shots, across=normalized(shots.across * factors)))
-        variance = _variance(rows)
-        return max(_misfit(rows, 1.0) / variance, TINY) if variance else np.inf
+        return _misfit_of(survey, replace(shots, across=normalized(shots.across * factors)))
 
     def of_tangents(logarithm: float) -> float:
         return misfit(*[float(np.exp(logarithm))] * 2, 1.0)
@@ -248,6 +242,13 @@ def _misfits_of_directions(survey: Survey, shots: Shots) -> Iterator[tuple[float
         times = float(np.exp(found.x))
         if abs(found.x) > SAME_VIEW:  # else another start leads to where they fit as they are read
             yield float(found.fun), f"the angles of {what} are about {times:.3g} times as large"
+
+
+def _misfit_of(survey: Survey, shots: Shots) -> float:
+    """Return the misfit of shots in parts of their variance, never zero; infinite of too few."""
+    rows = _part(survey, shots)
+    variance = _variance(rows)
+    return max(_misfit(rows, 1.0) / variance, TINY) if variance else np.inf
 
 
 def _variance(rows: SurveyRows) -> float:
