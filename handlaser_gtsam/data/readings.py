@@ -36,7 +36,7 @@ class Regressors(Value):
         return cls(constant, level)
 
 
-@dataclass(frozen=True, eq=False, repr=False)  # no slots: some results are kept
+@dataclass(frozen=True, eq=False, repr=False)  # no slots: one result is kept
 class Readings(Value):
     """The readings of a recording one a row, sorted by plane, then beam, then station.
 
@@ -114,10 +114,6 @@ class Readings(Value):
 
     def typical_range(self) -> float:
         """Return the natural unit of lengths [m]: the median reading; see `typical_range`."""
-        return self._typical_range
-
-    @cached_property
-    def _typical_range(self) -> float:
         return typical_range(self.distance)
 
     def largest_range(self) -> float:
@@ -126,10 +122,6 @@ class Readings(Value):
 
     def spread(self) -> float:
         """Return the standard deviation of the readings [m] that their quartiles show."""
-        return self._spread
-
-    @cached_property
-    def _spread(self) -> float:
         low, high = np.quantile(self.distance, [0.25, 0.75])
         # Half the distance of the quartiles of a Gaussian is the median of its absolute values.
         half = 0.5 * float(high - low)

@@ -339,9 +339,8 @@ def merged_stations(
     some = np.flatnonzero(several[key] > 1)
     if not some.size:
         return recording, ()
-    key = renumbered(key[some])
-    order = np.lexsort((row[some], value[some], key))
-    row, beam, key, value = row[some][order], beam[some][order], key[order], value[some][order]
+    some = some[np.lexsort((row[some], value[some], key[some]))]
+    row, beam, key, value = row[some], beam[some], renumbered(key[some]), value[some]
     mean, worth, agree, held = _averaged(key, value, sigma)
     ranges = recording.ranges.copy()
     ranges[row[agree], beam[agree]] = np.nan

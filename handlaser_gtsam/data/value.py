@@ -80,7 +80,7 @@ def fields_at(of: Value, rows: IntArray | BoolArray, *names: str) -> dict[str, A
     for name in names:
         column = getattr(of, name)
         if isinstance(column, tuple):
-            found[name] = tuple(np.array(column)[rows].tolist())
+            found[name] = tuple(np.array(column, dtype=object)[rows].tolist())
         else:
             found[name] = None if column is None else column[rows]
     return found

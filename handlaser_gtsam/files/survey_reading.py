@@ -123,7 +123,7 @@ def _of_log(path: Path, given: LogFormat) -> tuple[StationList, LogRows]:
     """Return the stations of a log of poses that has labels, or one target for all; and its rows."""
     table = read_log_table(path, given)
     rows = rows_of(table, columns_of(table, given, readings=False), given, Sensor())
-    R, t = hand_poses(rows.posed, Way.of_rows(len(rows.posed)), given)
+    R, t = hand_poses(rows.posed, Way.of_groups(np.arange(len(rows.posed))), given)
     labels = rows.planes if rows.planes is not None else [given.plane] * len(R)
     if not all(labels):
         expected = "a column plane, --plane-column NAME, or one label for all by --plane"

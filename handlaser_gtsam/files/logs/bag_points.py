@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ...arrays import FloatArray, IntArray
 from ...data.screening import FINEST_STEP
@@ -183,8 +184,7 @@ def read_bag_points(
     readings, order = _in_time(messages, single)
     log = by_time(poses, readings, replace(given, stands=not given.interpolate))
     labels, chosen, warnings = targets_of(log, given)
-    seen = np.zeros(len(log.names), dtype=bool)
-    seen[log.station[log.station >= 0]] = True
+    seen = np.isin(np.arange(len(log.names)), log.station)
     chosen, unread = with_readings(chosen, seen, path)
     warnings, kept = (*warnings, *unread), np.flatnonzero(chosen)
     number = np.full(len(log.names) + 1, -1)
@@ -225,12 +225,8 @@ def _in_time(messages: LogRows, single: LogRows | None) -> tuple[LogRows, IntArr
     parts = [messages] if single is None else [messages, single]
     times = np.concatenate([one.clock for one in parts])
     order = np.argsort(times, kind="stable")
-    ranges = np.full((len(times), sum(one.ranges.shape[1] for one in parts)), np.nan)
-    row = column = 0
-    for one in parts:
-        rows, columns = one.ranges.shape
-        ranges[row : row + rows, column : column + columns] = one.ranges
-        row, column = row + rows, column + columns
+    ranges = block_diag(*(one.ranges for one in parts))
+    ranges[block_diag(*(np.ones(one.ranges.shape) for one in parts)) == 0.0] = np.nan
     lines, names = lines_of(messages.table.path, len(times)), sum((one.beams for one in parts), ())
     return LogRows(lines, names, ranges[order], times=times[order]), order
 

@@ -157,7 +157,7 @@ def by_station(poses: LogRows, readings: LogRows) -> JoinedStations:
     return JoinedStations(
         poses,
         readings,
-        Way.of_rows(len(names)),
+        Way.of_groups(np.arange(len(names))),
         names,
         planes,
         poses.times,
@@ -236,8 +236,9 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> JoinedStatio
             words = f"{len(kept)} rows of readings, each with {words}"
             warnings = _unmatched(near, "have no pose within the tolerance")
         else:
-            way, station, times, names = Way.of_rows(len(clock)), row, clock, tuple(poses.names)
-            labels = (poses, way.row), (readings, nearest(wanted, clock)[0])
+            every = np.arange(len(clock))
+            way, station, times, names = Way.of_groups(every), row, clock, tuple(poses.names)
+            labels = (poses, every), (readings, nearest(wanted, clock)[0])
             words = f"{len(clock)} poses, each with the readings within {tolerance:g} s: "
             words += f"{int(near.sum())} of {len(near)} rows"
     if not near.any():

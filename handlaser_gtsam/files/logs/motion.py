@@ -51,11 +51,6 @@ class Way(NamedTuple):
         return cls(row, np.flatnonzero(np.diff(group[row], prepend=-1)))
 
     @classmethod
-    def of_rows(cls, count: int) -> "Way":
-        """Return that each row is a station of its own."""
-        return cls(np.arange(count, dtype=np.intp), np.arange(count, dtype=np.intp))
-
-    @classmethod
     def of_runs(cls, first: IntArray, last: IntArray) -> "Way":
         """Return the means of rows from the first to the last (S,) of each station."""
         count = last - first + 1
@@ -299,10 +294,8 @@ def _trimmed(track: Track, means: _Means, run: IntArray, half: float) -> tuple[i
     centre = int(((x - np.median(x, axis=0)) ** 2).sum(axis=1).argmin())
     alike = np.full_like(begin, begin[centre]), np.full_like(end, end[centre])
     near = means.near((begin, end), alike)
-    own = np.flatnonzero(near)
+    own, far = np.flatnonzero(near), np.flatnonzero(~near)
     middle = own[len(own) // 2]
-    far = np.flatnonzero(~near)
-    before, after = far[far < middle], far[far > middle]
-    first = before[-1] + 1 if before.size else 0
-    last = after[0] - 1 if after.size else len(rows) - 1
+    first = far[far < middle].max(initial=-1) + 1
+    last = far[far > middle].min(initial=len(rows)) - 1
     return int(rows[first]), int(rows[last])

@@ -83,8 +83,8 @@ class LogRows(NamedTuple):
         """Return a warning for each code for "no reading" among the rows that are `counted` (M,)."""
         if self.coded is None:
             return ()
-        columns, whose = self.columns, dict[str, Sequence[str]]()
-        whose |= {name: [beam] for beam, name in columns.beams.items()}
+        columns = self.columns
+        whose: dict[str, Sequence[str]] = {name: [beam] for beam, name in columns.beams.items()}
         if columns.range:
             whose = {columns.range: labels(self.table, columns.beam)}
         return code_warnings(self.table, whose, self.coded & counted[:, None])
@@ -133,11 +133,9 @@ def rows_of(
         how += ", inverted" if given.inverted else ""
         how += "; the hand is the flange, for the tool is taken off" if given.tool else ""
         how += "; the world is the robot's frame, for the base is added" if given.base else ""
-    beams: tuple[str, ...] = ()
-    d, coded = np.full((len(table.frame), 0), np.nan), None
+    beams, d, coded = tuple(columns.beams), np.full((len(table.frame), 0), np.nan), None
     if lengths:
         d, coded = range_numbers(table, lengths, sensor, LENGTHS[given.range_units])
-        beams = tuple(columns.beams)
     if columns.range:
         beams, d = _wide(table, columns, d)
     stated = given.plane or given.plane_ranges or given.plane_file is not None

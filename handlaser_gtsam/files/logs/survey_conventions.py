@@ -78,7 +78,7 @@ def refuse_wrong_reading(
         It fits so, and is not to be read `as_stated` in any case.
     """
     warnings: tuple[CalibrationWarning, ...] = ()
-    poses = list(alternatives(numbers, Way.of_rows(len(numbers)), given))
+    poses = list(alternatives(numbers, Way.of_groups(np.arange(len(numbers))), given))
     mistakes = [*_single_mistakes(survey.stations), *_other_orders(numbers, given)]
     many = [len(np.unique(shots.station)) for shots in survey.shots]
     noise = [_noise(survey, shots) if len(many) > 1 else 0.0 for shots in survey.shots]
@@ -138,7 +138,7 @@ def _accused(
     """
     rows, count = _part(survey, shots), len(survey.stations)
     variance = _variance(rows)
-    stations, labels = survey.stations, survey.stations.plane_labels
+    stations, labels = survey.stations, np.array(survey.stations.plane_labels)
 
     def measure(recording: Recording, effort: Effort) -> float:
         del effort  # there is one way to a start
@@ -149,11 +149,7 @@ def _accused(
         R[shot_of], t[shot_of] = recording.world_R_hand, recording.world_t_hand / scale
         poses = replace(stations, world_R_hand=R, world_t_hand=t)
         # A shot whose label is that of another row was sorted by another shape.
-        kept = {
-            at
-            for at, label in zip(shot_of.tolist(), recording.plane_labels, strict=True)
-            if label == labels[at]
-        }
+        kept = set(shot_of[np.array(recording.plane_labels) == labels[shot_of]].tolist())
         items = tuple(item for item in rows.items if item.station in kept)
         read_so = replace(rows, survey=replace(rows.survey, stations=poses), items=items)
         # Where labels take turns, shots of another row leave none, or too few.
@@ -185,12 +181,11 @@ def _accused(
     return ()
 
 
-def _misfits_of_columns(survey: Survey, shots: Shots) -> list[tuple[float, str]]:
-    """Return the misfit of points one of whose columns is in another unit, and words for that."""
-    found: list[tuple[float, str]] = []
+def _misfits_of_columns(survey: Survey, shots: Shots) -> Iterator[tuple[float, str]]:
+    """Yield the misfits of points one of whose columns is in another unit, with words for that."""
     profiler, d = shots.kind == "profiler", shots.reading[:, None]
     if not profiler and shots.kind != "points":
-        return found
+        return
     columns = np.hstack((shots.across, d)) if profiler else shots.across * d
     spread = np.maximum(columns.std(axis=0), TINY)
     ratio = [np.delete(spread, at).mean() / own for at, own in enumerate(spread)]
@@ -208,8 +203,7 @@ def _misfits_of_columns(survey: Survey, shots: Shots) -> list[tuple[float, str]]
             other = Shots.points(shots.name, shots.station, numbers)
         words = f"{UNIT_WORDS[unit]} among {UNIT_WORDS[among]}"
         words = f"the column {name} of {shots.name} is {times:.4g} times as large ({words})"
-        found.append((_misfit_of(survey, other), words))
-    return found
+        yield _misfit_of(survey, other), words
 
 
 def _misfits_of_directions(survey: Survey, shots: Shots) -> Iterator[tuple[float, str]]:
