@@ -108,11 +108,10 @@ def targets_of(
     log: JoinedStations, given: LogFormat
 ) -> tuple[Sequence[str], BoolArray, tuple[CalibrationWarning, ...]]:
     """Return the plane of each station, which have one, and a warning of those that have none."""
-    every, stated = np.ones(len(log.names), dtype=bool), intervals(given)
+    every, times = np.ones(len(log.names), dtype=bool), log.poses.times
+    stated = intervals(given, 0.0 if times is None else float(times.min()))
     if stated:
-        times = log.poses.times
-        begin = 0.0 if times is None else float(times.min())
-        which = planes_of(stated, log.names, log.times, begin)
+        which = planes_of(stated, log.names, log.times)
         chosen = which >= 0
         if not chosen.any():
             path = log.poses.table.path

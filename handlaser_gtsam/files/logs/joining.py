@@ -335,23 +335,24 @@ def _lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> tuple[float,
     InputError
         The planes are not known in time, or the motion does not tell.
     """
-    track, clock, stated = _track_of(poses, given), poses.clock, intervals(given)
+    track, clock = _track_of(poses, given), poses.clock
+    stated = intervals(given, float(clock[0]))
     in_time = bool(stated) and isinstance(stated[0][1], float)
     by_row = bool(stated) and not given.stands and not in_time
     of_poses = len(clock) < len(readings.clock) if by_row else readings.planes is None
     rows = poses if of_poses else readings
     if by_row:
-        known = planes_of(stated, rows.names, None, clock[0])
+        known = planes_of(stated, rows.names)
     else:
         known = names_and_numbers(rows.planes or [""] * len(rows.names))[1]
     if stated and not in_time and not by_row:  # stations are the moments at which the hand stands
         first, last, _ = find_stands(track, given)
-        number = planes_of(stated, numbered(len(first)), None, clock[0])
+        number = planes_of(stated, numbered(len(first)))
 
     def plane_of(moments: FloatArray) -> IntArray:
         """Return which plane each time (N,) on the clock of the poses belongs to, -1 for none."""
         if in_time:
-            return planes_of(stated, [""] * len(moments), moments, clock[0])
+            return planes_of(stated, [""] * len(moments), moments)
         if by_row or not stated:
             return known[nearest(clock, moments)[0]] if of_poses else known
         plane = np.full(len(moments), -1, dtype=np.intp)
@@ -414,8 +415,8 @@ Interval = tuple[str, str | float, str | float]
 """A plane, and the first and the last of its stations, or times [s]; both are included."""
 
 
-def intervals(given: LogFormat) -> list[Interval]:
-    """Return the intervals that are stated, of stations or of times.
+def intervals(given: LogFormat, begin: float) -> list[Interval]:
+    """Return the intervals that are stated, of stations or times; small times count from `begin` [s].
 
     Raises
     ------
@@ -427,13 +428,13 @@ def intervals(given: LogFormat) -> list[Interval]:
         table = read_table(given.plane_file, ("plane", "from", "to"))
         table.require("plane", "from", "to")
         columns = [labels(table, name) for name in ("plane", "from", "to")]
-        found = [_interval(*row) for row in zip(*columns, strict=True)]
+        found = [_interval(*row, begin=begin) for row in zip(*columns, strict=True)]
     for text in given.plane_ranges:
         parts = RANGE.fullmatch(text)
         if parts is None:
             raise InputError(f"--plane-ranges {shown(text)}", EXPECTED)
         try:
-            found.append(_interval(*(part.strip() for part in parts.groups())))
+            found.append(_interval(*(part.strip() for part in parts.groups()), begin=begin))
         except InputError as error:
             raise InputError(f"--plane-ranges with {error.found}", error.expected) from error
     if len({isinstance(first, float) for _, first, _ in found}) > 1:
@@ -441,21 +442,23 @@ def intervals(given: LogFormat) -> list[Interval]:
     return found
 
 
-def _interval(plane: str, first: str, last: str) -> Interval:
+def _interval(plane: str, first: str, last: str, *, begin: float) -> Interval:
     fault = name_fault(plane)
     if fault:
         raise InputError(f"{fault} of a plane", A_NAME)
     times = [SECONDS.fullmatch(end) for end in (first, last)]
     if not any(times):
         return plane, first, last
-    begin, end = (float(one[1]) if one else math.nan for one in times)
-    if not begin < end:
+    low, high = (float(one[1]) if one else math.nan for one in times)
+    if not low < high:
         raise InputError(f"plane {shown(plane)} from {shown(first)} to {shown(last)}", EXPECTED)
-    return plane, begin, end
+    # Times beyond this [s] are counted from 1970; smaller ones from the beginning of the log.
+    shift = 0.0 if abs(low) > 1e8 else begin
+    return plane, low + shift, high + shift
 
 
 def planes_of(
-    found: Sequence[Interval], names: Sequence[str], times: FloatArray | None, begin: float
+    found: Sequence[Interval], names: Sequence[str], times: FloatArray | None = None
 ) -> IntArray:
     """Return which interval (S,) each station is in, -1 for none.
 
@@ -465,8 +468,6 @@ def planes_of(
     names : S names of stations
     times : (S,), optional
         When they were [s].
-    begin : float
-        The time from which small times count [s].
 
     Raises
     ------
@@ -480,10 +481,7 @@ def planes_of(
             if times is None:
                 found_so = "planes by times, and a log without times"
                 raise InputError(found_so, "planes by stations: A=1..12")
-            # Times beyond this [s] are counted from 1970; smaller ones from the beginning of the
-            # log.
-            shift = 0.0 if abs(first) > 1e8 else begin
-            inside = np.flatnonzero((times >= first + shift) & (times <= last + shift))
+            inside = np.flatnonzero((times >= first) & (times <= last))
         else:
             for end in (first, last):
                 if end not in place:
