@@ -117,8 +117,7 @@ def cross_check(
             raise InputError("a recording beside the result of a survey", "none: it holds its own")
         return _of_survey(calibration)
     require_kind("calibration", calibration, Calibration, "a Calibration or a SurveyCalibration")
-    if recording is None:
-        recording = calibration.recording
+    recording = calibration.recording if recording is None else recording
     if recording is None:
         raise InputError("a calibration without its recording", "the recording beside it")
     require_kind("recording", recording, Recording)
@@ -135,8 +134,7 @@ def cross_check(
     scaled, variances = calibration.at_scales, calibration.reading_variances
     at = calibration.parameters() if scaled is None else scaled.parameters
     joint = calibration.covariance if scaled is None else scaled.covariance
-    if joint is None:
-        raise InputError("a calibration without covariance", "a converged one")
+    assert joint is not None, "what is converged has a covariance"
     used = calibration.used_in(recording)
     start, solved = find_start(used.readings()).parameters, None
     if calibration.recorded is not None:  # with the errors in it; their priors have units

@@ -178,8 +178,7 @@ def _width(fan: Shots) -> float:
 
 def _square(u: FloatArray) -> FloatArray:
     """Return a rotation whose third column is a unit vector."""
-    side = bases(u)[:, 0]
-    return np.column_stack((side, np.cross(u, side), u))
+    return np.column_stack((bases(u), u))
 
 
 def _spun(angle: float) -> FloatArray:
