@@ -121,8 +121,7 @@ def blind_motion(
     # A calibration calls undetermined what is known worse than `KNOWN`: half of it is well enough, and
     # nearly all where the number of stations is given.
     enough = (0.5 if stations is None else 0.8) * KNOWN
-    most = MOST_BLIND if stations is None else stations
-    counts = np.arange(stations or LEAST_BLIND, most + 1, 4) - len(first)
+    counts = np.arange(stations or LEAST_BLIND, (stations or MOST_BLIND) + 1, 4) - len(first)
     for _ in range(MOST_ROUNDS):
         some = counts[counts <= len(turns)].tolist()
         chosen, determined = known.fewest(beliefs, turns, some, enough)
@@ -131,7 +130,10 @@ def blind_motion(
                 "no motion that determines the mounts and keeps", "a wider workspace, more stations"
             )
         motion = joined([first, turns[chosen]])
-        lost = known.without_way(motion) - len(first)
+        if workspace.robot is None:
+            break
+        _, origin, _ = driven(workspace.robot, motion, workspace, [bounds.plate])
+        lost = np.setdiff1d(np.arange(len(motion)), origin) - len(first)  # to these is no way
         if not lost.size or lost[0] < 0:
             break
         turns = turns[np.setdiff1d(np.arange(len(turns)), chosen[lost])]
@@ -348,13 +350,6 @@ class Blind:
             safe = safe_stations(mounts, stations, self.sensor, self.bounds.plate)
             stations = stations[np.flatnonzero(safe.all(axis=0))]
         return stations[reached(self.workspace, stations, [self.bounds.plate])]
-
-    def without_way(self, motion: Stations) -> IntArray:
-        """Return the stations of a motion, in its order, to which the arm finds no way."""
-        robot, origin = self.workspace.robot, np.arange(len(motion))
-        if robot is not None:
-            _, origin, _ = driven(robot, motion, self.workspace, [self.bounds.plate])
-        return np.setdiff1d(np.arange(len(motion)), origin)
 
     def fewest(
         self, beliefs: Sequence[Belief], stations: Stations, counts: Sequence[int], enough: float
