@@ -134,7 +134,8 @@ def cross_check(
     scaled, variances = calibration.at_scales, calibration.reading_variances
     at = calibration.parameters() if scaled is None else scaled.parameters
     joint = calibration.covariance if scaled is None else scaled.covariance
-    assert joint is not None, "what is converged has a covariance"
+    if joint is None:
+        raise InputError("a calibration without covariance", "a converged one")
     used = calibration.used_in(recording)
     start, solved = find_start(used.readings()).parameters, None
     if calibration.recorded is not None:  # with the errors in it; their priors have units

@@ -18,6 +18,7 @@ from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..data.value import Value
+from ..errors import InputError
 from ..model.families import BEAM, PLANE
 from ..model.joint import JointCovariance
 from ..model.weighting import Variances, reading_sigmas
@@ -72,15 +73,16 @@ class SurveyPrediction(Value):
 
 
 def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Prediction:
-    """Return the errors with which a calibration, converged, predicts other readings of its planes.
+    """Return the errors with which a calibration predicts another recording of its planes and beams.
 
     Raises
     ------
     InputError
-        The recording has a plane or beam that the calibration does not have.
+        The calibration did not converge, or the recording has a plane or beam that it does not.
     """
     joint = calibration.covariance
-    assert joint is not None, "what is converged has a covariance"
+    if joint is None or calibration.status != "converged":
+        raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     sigmas = calibration.reading_variances.range_sigma.tolist()
     of_beam = dict(zip(joint.beam_names, sigmas, strict=True))
     ranges = np.array([of_beam.get(name, np.nan) for name in recording.beam_names])
