@@ -178,7 +178,8 @@ def _width(fan: Shots) -> float:
 
 def _square(u: FloatArray) -> FloatArray:
     """Return a rotation whose third column is a unit vector."""
-    return np.column_stack((bases(u), u))
+    side = bases(u)[:, 0]
+    return np.column_stack((side, np.cross(u, side), u))
 
 
 def _spun(angle: float) -> FloatArray:
