@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -83,4 +83,4 @@ def random_plan(
     pool = joined([task.candidates(p, 40, rng) for p in planes])
     every = len(pool.plane)
     chosen = rng.choice(every, count, replace=False)
-    return task.planned(pool[chosen], plates=plates)
+    return replace(task.planned(pool[chosen]), plates=plates)

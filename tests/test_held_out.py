@@ -153,7 +153,7 @@ def test_all_stations_are_the_solution_at_the_most_probable_scales(gripper):
     scaled = calibration.at_scales
     assert scaled.range_error_prior is not None
     everything = np.ones(len(gripper.plane_labels), dtype=bool)
-    at, joint = WholeSolution.of(calibration).known_by(everything, solve=True)
+    at, joint = WholeSolution(calibration).known_by(everything, solve=True)
     own = np.sqrt(np.diagonal(joint.matrix(planes=[])))
     whole = np.sqrt(np.diagonal(scaled.covariance.matrix(planes=[])))
     assert own == pytest.approx(whole, rel=1e-3)

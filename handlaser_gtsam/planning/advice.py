@@ -36,9 +36,7 @@ def next_stations(
 
     Chosen greedily from few candidates at the estimate itself: `plan` does better, and takes longer.
     """
-    if calibration.status != "converged" or calibration.recording is None:
-        return None
-    if not sensor.range_stated or len(calibration.beams) > ADVISED_BEAMS:
+    if calibration.recording is None or len(calibration.beams) > ADVISED_BEAMS:
         return None
     try:
         task = planning_task(calibration, sensor, workspace, Goal() if goal is None else goal)

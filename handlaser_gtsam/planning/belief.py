@@ -20,13 +20,14 @@ from ..errors import InputError
 from ..model.effects import EFFECTS, OF_READINGS, OF_STATIONS
 from ..model.effects.effect import Everywhere, SeenStations
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, RANGE_ERROR, modelled
-from ..model.joint import beams_lift
+from ..model.joint import beam_lifts, beams_lift
 from ..model.weighting import Variances, covariance_roots, reading_sigmas, whitening
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
+from ..results.spots import spot_of
 from ..validation.simulate import Stations, predicted_readings
 from .bounds import Plate, plate_of
-from .goal import PlannedMount, beam_mount
+from .goal import PlannedMount
 
 UNKNOWN_LENGTH = 0.1
 """Standard deviation of a length that the readings alone have to determine [m]: too large to say
@@ -92,22 +93,18 @@ class Belief:
         return len(self.mean.locations)
 
     @property
-    def first_beam(self) -> int:
-        """The number of errors, before the beams."""
-        return len(self.errors)
-
-    @property
     def first_plane(self) -> int:
         """The number of unknowns of errors and beams, before the planes."""
-        return self.first_beam + BEAM.dim * self.beams
+        return len(self.errors) + BEAM.dim * self.beams
 
     def mounts(self, reading: float) -> list[PlannedMount]:
         """Return what a goal asks of every beam, its spot at a reading [m]."""
-        beams = zip(np.hstack(self.mean.beams), self.beam_bases, strict=True)
-        return [
-            beam_mount(self.first_beam + BEAM.dim * i, len(self.covariance), beam, basis, reading)
-            for i, (beam, basis) in enumerate(beams)
-        ]
+        mounts, beams = [], np.hstack(self.mean.beams)
+        for i, (beam, lift) in enumerate(zip(beams, beam_lifts(self.beam_bases), strict=True)):
+            own = np.eye(BEAM.dim, len(self.covariance), len(self.errors) + BEAM.dim * i)
+            spot = spot_of(beam, reading)[1] @ lift @ own
+            mounts.append(PlannedMount(own[LOCATION], own[DIRECTION][None], spot))
+        return mounts
 
     def draw(self, rng: np.random.Generator) -> Parameters:
         """Return beams and planes drawn from the spread."""
@@ -116,7 +113,7 @@ class Belief:
 
     def moved(self, x: FloatArray) -> Parameters:
         """Return beams and planes that differ from the mean by tangent coordinates x (U,)."""
-        beam = x[self.first_beam : self.first_plane].reshape(-1, BEAM.dim)
+        beam = x[len(self.errors) : self.first_plane].reshape(-1, BEAM.dim)
         plane = x[self.first_plane :].reshape(-1, PLANE.dim)
         mean = self.mean
         turned = np.einsum("bij,bj->bi", self.beam_bases, beam[:, DIRECTION])
@@ -334,14 +331,13 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
 
 
 def recorded_rows(belief: Belief, recording: Recording) -> FloatArray:
-    """Return the rows (M, B, U) of the readings of a recording before the planes of a belief.
+    """Return the rows (M, B, U) of the readings of a recording, whose planes those of a belief are.
 
     Of stations where all beams can read at the mean.
     """
-    number = {name: p for p, name in enumerate(belief.plane_names)}
-    plane = np.array([number.get(label, -1) for label in recording.plane_labels])
+    plane = recording.plane_of_station
     n_hand = np.einsum("mji,mj->mi", recording.world_R_hand, belief.mean.normals[plane])
-    facing = (n_hand @ belief.mean.directions.T > model.GRAZING_LIMIT).all(axis=1) & (plane >= 0)
+    facing = (n_hand @ belief.mean.directions.T > model.GRAZING_LIMIT).all(axis=1)
     if not facing.any():
         return np.zeros((0, belief.beams, len(belief.covariance)))
     stations = Stations(recording.world_R_hand, recording.world_t_hand, plane)[facing]
@@ -367,6 +363,6 @@ def _linearized(
     bases = belief.beam_bases[readings.beam], belief.plane_bases[readings.plane]
     at = model.linearize(x, readings.distance)
     derivatives = model.tangent_columns(at, *bases, belief.origins[readings.plane], 2)[:-1].T
-    of_beam = belief.first_beam + BEAM.dim * readings.beam[:, None] + np.arange(BEAM.dim)
+    of_beam = len(belief.errors) + BEAM.dim * readings.beam[:, None] + np.arange(BEAM.dim)
     of_plane = belief.first_plane + PLANE.dim * readings.plane[:, None] + np.arange(PLANE.dim)
     return readings, x, np.hstack((of_beam, of_plane)), derivatives

@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -112,7 +111,7 @@ def blind_motion(
         require_count("stations before each plane", stations, LEAST_BLIND, MOST_BLIND)
     require_count("planes", planes, 1, MOST_PLANNED)
     rng = generator(rng)
-    known = assumed(bounds, sensor, workspace, noise)
+    known = Blind(bounds, sensor, workspace, noise)
     mounts = bounds.draw(rng, MOUNTS)
     first = known.translations(mounts)
     turns = known.turns(rng)
@@ -122,8 +121,7 @@ def blind_motion(
     # A calibration calls undetermined what is known worse than `KNOWN`: half of it is well enough, and
     # nearly all where the number of stations is given.
     enough = (0.5 if stations is None else 0.8) * KNOWN
-    most = MOST_BLIND if stations is None else stations
-    counts = np.arange(stations or LEAST_BLIND, most + 1, 4) - len(first)
+    counts = np.arange(stations or LEAST_BLIND, (stations or MOST_BLIND) + 1, 4) - len(first)
     for _ in range(MOST_ROUNDS):
         some = counts[counts <= len(turns)].tolist()
         chosen, determined = known.fewest(beliefs, turns, some, enough)
@@ -132,7 +130,10 @@ def blind_motion(
                 "no motion that determines the mounts and keeps", "a wider workspace, more stations"
             )
         motion = joined([first, turns[chosen]])
-        lost = known.without_way(motion) - len(first)
+        if workspace.robot is None:
+            break
+        _, origin, _ = driven(workspace.robot, motion, workspace, [bounds.plate])
+        lost = np.setdiff1d(np.arange(len(motion)), origin) - len(first)  # to these is no way
         if not lost.size or lost[0] < 0:
             break
         turns = turns[np.setdiff1d(np.arange(len(turns)), chosen[lost])]
@@ -143,7 +144,8 @@ def blind_motion(
     safe = float(safe_stations(others, motion, sensor, bounds.plate).all(axis=1).mean())
     across = 2.0 * float(spot_distances(others, motion, bounds.plate.point).max())
     task = Task(belief, workspace, sensor, Goal() if goal is None else goal)
-    return task.planned(every, ordered=True, plates=plates, safe=safe, plate_across=across)
+    plan = task.planned(every, ordered=True)
+    return replace(plan, plates=plates, safe=safe, plate_across=across)
 
 
 def completing_motion(
@@ -170,7 +172,7 @@ def completing_motion(
         found = f"bounds of {beams} beams for {len(recording.beam_names)} in the recording"
         raise InputError(found, "the bounds of all beams, in the order of the columns")
     workspace = workspace_of(recording) if workspace is None else workspace
-    known = assumed(bounds, sensor, workspace, noise)
+    known = Blind(bounds, sensor, workspace, noise)
     plates = dict.fromkeys(recording.plane_names, bounds.plate)
     beliefs = []
     for at in (*(bounds.draw(rng) for _ in range(COMPARED_DRAWS)), bounds.middle()):
@@ -209,8 +211,8 @@ def _after(belief: Belief, rows: FloatArray) -> Belief:
     return replace(belief, covariance=updated(belief.covariance, rows))
 
 
-class Blind(NamedTuple):
-    """What is known before any calibration.
+class Blind:
+    """What is known before any calibration; noise that is not stated is as its prior says.
 
     Attributes
     ----------
@@ -219,17 +221,34 @@ class Blind(NamedTuple):
     workspace : Workspace
     variances : Variances
         What readings are expected to err by.
+    axis : (3,)
+        The mean direction of the beams, hand frame.
+
+    Raises
+    ------
+    InputError
+        The sensor's range is not stated, or no beam can face the plate.
     """
 
-    bounds: Bounds
-    sensor: Sensor
-    workspace: Workspace
-    variances: Variances
-
-    @property
-    def axis(self) -> FloatArray:
-        """The mean direction (3,) of the beams, hand frame."""
-        return model.normalized(self.bounds.directions.mean(axis=0))
+    def __init__(
+        self, bounds: Bounds, sensor: Sensor, workspace: Workspace, noise: Noise | None
+    ) -> None:
+        require_range(sensor)
+        require_facing("the plate", workspace, bounds.directions, bounds.plate.normal)
+        self.bounds, self.sensor, self.workspace = bounds, sensor, workspace
+        self.axis = model.normalized(bounds.directions.mean(axis=0))
+        noise = Noise() if noise is None else noise
+        sigma = noise.range_sigma
+        if sigma is None:
+            # A sensor whose noise is not known errs by this part of its range, as cheap ones do.
+            sigma = 1e-3 * (sensor.range_max - sensor.range_min)
+        if noise.pose_covariance is None:
+            shift, turn = noise.standstill
+            noise = replace(noise, pose_translation_sigma=shift, pose_rotation_sigma=turn)
+        pose = noise.pose_covariances(1).mean(axis=0)
+        sigmas = np.full(len(bounds.locations), sigma)
+        own = pose[None] if pose.any() else None
+        self.variances = Variances(sigmas, noise.incidence_sigma, own)
 
     def belief(self, at: Parameters) -> Belief:
         """Return what a calibration would start from about some beams and a plate: next to nothing.
@@ -287,10 +306,8 @@ class Blind(NamedTuple):
         across = model.tangent_basis(n[None])[0].T
         shares = product(TRANSLATION_SHARES, TRANSLATION_SHARES)
         for deep, wide in sorted(shares, key=lambda pair: -(pair[0] * pair[1] ** 2)):
-            depth = TETRAHEDRON[:, 2:] * (0.5 * span * deep * n)
-            stations = self.moved(
-                np.zeros((4, 3)), TETRAHEDRON[:, :2] @ (span * wide * across) + depth
-            )
+            shift = span * TETRAHEDRON @ np.vstack((wide * across, 0.5 * deep * n))
+            stations = self.moved(np.zeros((4, 3)), shift)
             if len(self.safe(stations, [mounts])) == 4:
                 return stations
         raise self.refusal("no translations that keep")
@@ -305,12 +322,9 @@ class Blind(NamedTuple):
                 "a box around there, and a home orientation that looks at the plate",
             )
         reach = "" if self.workspace.robot is None else ", and that the arm reaches"
-        on, plate = "", ""
-        if self.bounds.plate.across is not None:
-            on, plate = (
-                f" and on a plate of {IN_MM * self.bounds.plate.across:.0f} mm",
-                "a larger plate, ",
-            )
+        across = self.bounds.plate.across
+        on = "" if across is None else f" and on a plate of {IN_MM * across:.0f} mm"
+        plate = "" if across is None else "a larger plate, "
         return InputError(
             f"{motion} the beams of all mounts within the bounds in range{on}{reach}",
             f"narrower bounds of mount and plate, {plate}{remedy} or a sensor of longer range",
@@ -324,9 +338,7 @@ class Blind(NamedTuple):
         side = 2.0 * math.pi * rng.integers(SIDES, size=TRIED_TURNS) / SIDES
         size = self.workspace.largest_turn * rng.uniform(size=TRIED_TURNS)
         spin = rng.choice([-0.5, 0.0, 0.5], size=TRIED_TURNS) * size
-        tilt = size[:, None] * (
-            np.cos(side)[:, None] * across[0] + np.sin(side)[:, None] * across[1]
-        )
+        tilt = size[:, None] * (np.column_stack((np.cos(side), np.sin(side))) @ across)
         along = rng.uniform(-1.0, 1.0, (TRIED_TURNS, 2)) @ model.tangent_basis(n[None])[0].T
         depth = rng.uniform(-0.5, 0.5, (TRIED_TURNS, 1))
         return self.moved(tilt + spin[:, None] * v, span * (along + depth * n))
@@ -338,13 +350,6 @@ class Blind(NamedTuple):
             safe = safe_stations(mounts, stations, self.sensor, self.bounds.plate)
             stations = stations[np.flatnonzero(safe.all(axis=0))]
         return stations[reached(self.workspace, stations, [self.bounds.plate])]
-
-    def without_way(self, motion: Stations) -> IntArray:
-        """Return the stations of a motion, in its order, to which the arm finds no way."""
-        robot, origin = self.workspace.robot, np.arange(len(motion))
-        if robot is not None:
-            _, origin, _ = driven(robot, motion, self.workspace, [self.bounds.plate])
-        return np.setdiff1d(np.arange(len(motion)), origin)
 
     def fewest(
         self, beliefs: Sequence[Belief], stations: Stations, counts: Sequence[int], enough: float
@@ -375,32 +380,6 @@ class Blind(NamedTuple):
         return chosen, False
 
 
-def assumed(bounds: Bounds, sensor: Sensor, workspace: Workspace, noise: Noise | None) -> Blind:
-    """Return what is known before any calibration; noise that is not stated is as its prior says.
-
-    Raises
-    ------
-    InputError
-        The sensor's range is not stated, or no beam can face the plate.
-    """
-    require_range(sensor)
-    require_facing("the plate", workspace, bounds.directions, bounds.plate.normal)
-    noise = Noise() if noise is None else noise
-    sigma = noise.range_sigma
-    if sigma is None:
-        # A sensor whose noise is not known errs by this part of its range, as cheap ones do.
-        sigma = 1e-3 * (sensor.range_max - sensor.range_min)
-    shift, turn = noise.pose_translation_sigma, noise.pose_rotation_sigma
-    if noise.pose_covariance is None:
-        shift = noise.pose_translation_prior if shift is None else shift
-        turn = noise.pose_rotation_prior if turn is None else turn
-    stated = replace(noise, pose_translation_sigma=shift, pose_rotation_sigma=turn)
-    pose = stated.pose_covariances(1).mean(axis=0)
-    sigmas = np.full(len(bounds.locations), sigma)
-    variances = Variances(sigmas, noise.incidence_sigma, pose[None] if pose.any() else None)
-    return Blind(bounds, sensor, workspace, variances)
-
-
 def safe_stations(
     mounts: Parameters, stations: Stations, sensor: Sensor, plate: Plate
 ) -> BoolArray:
@@ -410,7 +389,7 @@ def safe_stations(
     the same number of beams each, and a plane.
     """
     good = np.empty((len(mounts.normals), len(stations)), dtype=bool)
-    for some, cosine, s in _met(mounts, stations):
+    for some, _, _, cosine, s in _met(mounts, stations):
         within = sensor.can_read(s) & (cosine >= least_cosine(sensor))
         good[some] = within.all(axis=2)
     if plate.across is not None:
@@ -421,30 +400,28 @@ def safe_stations(
 def spot_distances(mounts: Parameters, stations: Stations, point: FloatArray) -> FloatArray:
     """Return how far the farthest spot of each draw and station is from a point of the plate (K, M)."""
     R, t = stations.world_R_hand, stations.world_t_hand
-    r, v = _of_draws(mounts)
     farthest = np.empty((len(mounts.normals), len(t)))
-    for some, _, s in _met(mounts, stations):
+    for some, r, v, _, s in _met(mounts, stations):
         with np.errstate(all="ignore"):
-            in_hand = r[some, None] + s[..., None] * v[some, None]
+            in_hand = r[:, None] + s[..., None] * v[:, None]
             off = np.einsum("mij,kmbj->kmbi", R, in_hand) + t[:, None] - point
         farthest[some] = np.linalg.norm(off, axis=3).max(axis=2)
     return farthest
 
 
-def _of_draws(mounts: Parameters) -> tuple[FloatArray, FloatArray]:
-    """Return locations and directions (K, B, 3) of the beams of each draw."""
-    draws = len(mounts.normals)
-    return mounts.locations.reshape(draws, -1, 3), mounts.directions.reshape(draws, -1, 3)
+def _met(
+    mounts: Parameters, stations: Stations
+) -> Iterator[tuple[slice, FloatArray, FloatArray, FloatArray, FloatArray]]:
+    """Yield some of the draws at a time, with their beams.
 
-
-def _met(mounts: Parameters, stations: Stations) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
-    """Yield some of the draws at a time, with cosines and ranges (k, M, B) of their beams."""
+    Of these locations and directions (k, B, 3), cosines and ranges (k, M, B).
+    """
     R, t, n, b = stations.world_R_hand, stations.world_t_hand, mounts.normals, mounts.offsets
-    r, v = _of_draws(mounts)
+    r, v = (x.reshape(len(n), -1, 3) for x in (mounts.locations, mounts.directions))
     size = max(ROWS_AT_ONCE // max(len(t) * r.shape[1], 1), 1)
     for some in (slice(k, k + size) for k in range(0, len(n) if len(t) else 0, size)):
         n_hand = (n[some] @ R.transpose(1, 0, 2).reshape(3, -1)).reshape(-1, len(t), 3)
         cosine = n_hand @ np.swapaxes(v[some], 1, 2)
         height = n_hand @ np.swapaxes(r[some], 1, 2) + (n[some] @ t.T + b[some, None])[..., None]
         with np.errstate(all="ignore"):
-            yield some, cosine, -height / cosine
+            yield some, r[some], v[some], cosine, -height / cosine

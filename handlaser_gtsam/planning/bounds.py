@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -101,12 +100,10 @@ class Placement:
         if self.largest_tilt > 0.0:
             # The largest tilts are the best ones for a workspace that reaches them, half of them for
             # others; to so many sides that neighbours have a cosine of 0.7.
-            for share, side in product(
-                (0.5, 1.0), np.linspace(0.0, 2.0 * math.pi, SIDES, endpoint=False)
-            ):
-                tilt = share * self.largest_tilt
-                toward = across @ np.array([math.cos(side), math.sin(side)])
-                normals.append(math.cos(tilt) * plate.normal + math.sin(tilt) * toward)
+            side = np.linspace(0.0, 2.0 * math.pi, SIDES, endpoint=False)
+            toward = np.column_stack((np.cos(side), np.sin(side))) @ across.T
+            for tilt in (0.5 * self.largest_tilt, self.largest_tilt):
+                normals += list(math.cos(tilt) * plate.normal + math.sin(tilt) * toward)
         return [Plate(plate.point, n, self.within, self.tilt, plate.across) for n in normals]
 
 

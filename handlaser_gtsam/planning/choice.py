@@ -118,7 +118,11 @@ class _Exchange:
     def _gains(self, S: FloatArray, T: FloatArray, C: FloatArray) -> FloatArray:
         """Return what candidates gain (..., N), given their S (..., N, B, B) and T (..., N, B, W)."""
         if self.criterion in ("D", "E"):
-            root = np.stack([_root(one, self.weight, self.criterion) for one in C])
+            # With M = root root' the criterion falls by tr(M dC) to first order. For E that is the
+            # gradient of the 8-norm of the eigenvalues, smooth where another becomes the largest.
+            size, axes = np.linalg.eigh(self.weight @ C @ self.weight.T)
+            power, unit = (-1.0, 1.0) if self.criterion == "D" else (8 - 1, size[:, -1:])
+            root = axes * ((size / unit) ** (power / 2.0))[:, None]
             T = T @ (root[0] if T.ndim == 3 else root[:, None])
         if self.criterion == "D":
             G = T @ np.swapaxes(T, -1, -2)
@@ -171,12 +175,3 @@ def value(covariance: FloatArray, weight: FloatArray, criterion: Criterion) -> f
     if criterion == "E":
         return float(np.linalg.eigvalsh(C)[-1])
     return float(np.trace(C))
-
-
-def _root(covariance: FloatArray, weight: FloatArray, criterion: Criterion) -> FloatArray:
-    """Return a root (W, W) of M, with which the criterion falls by tr(M dC) to first order."""
-    values, axes = np.linalg.eigh(weight @ covariance @ weight.T)
-    if criterion == "D":
-        return np.asarray(axes / np.sqrt(values))
-    # The gradient of the 8-norm of the eigenvalues, which is smooth where another becomes the largest.
-    return np.asarray(axes * (values / values[-1]) ** ((8 - 1) / 2.0))

@@ -10,18 +10,10 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..checks import require_fields, require_word
 from ..data.value import Value
-from ..model.families import (
-    BEAM,
-    DIRECTION,
-    LOCATION,
-    OF_DIRECTION,
-    OF_LOCATION,
-    OF_RANGE_ERROR,
-)
 from ..model.sensor_limits import Sensor
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from ..results.limits import Limits
-from ..results.spots import radius, spot_of
+from ..results.spots import radius
 from .choice import CRITERIA, Criterion, choose, updated, updates
 
 DIRECTION_UNIT = math.radians(0.1)
@@ -45,26 +37,6 @@ class PlannedMount(NamedTuple):
     location: FloatArray
     turns: FloatArray
     spot: FloatArray
-
-
-def beam_mount(
-    first: int, unknowns: int, beam: FloatArray, basis: FloatArray, reading: float
-) -> PlannedMount:
-    """Return the derivatives of a beam whose coordinates begin at the unknown `first`.
-
-    Parameters
-    ----------
-    first, unknowns : int
-    beam : (8,)
-        Location, direction and range errors.
-    basis : (3, 2)
-        Tangent basis of the direction.
-    reading : float
-        The working distance [m].
-    """
-    own, (_, J) = np.eye(BEAM.dim, unknowns, first), spot_of(beam, reading)
-    spot = np.hstack((J[:, OF_LOCATION], J[:, OF_DIRECTION] @ basis, J[:, OF_RANGE_ERROR]))
-    return PlannedMount(own[LOCATION], own[DIRECTION][None], spot @ own)
 
 
 @dataclass(frozen=True, slots=True)

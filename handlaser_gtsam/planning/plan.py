@@ -188,9 +188,6 @@ class Task(NamedTuple):
         spare: Stations | None = None,
         *,
         ordered: bool = False,
-        plates: Mapping[str, Plate] | None = None,
-        safe: float | None = None,
-        plate_across: float | None = None,
     ) -> Plan:
         """Return a plan of stations, which matter in the order given, or of `spare` ones instead.
 
@@ -224,15 +221,7 @@ class Task(NamedTuple):
         read = candidate >= 0
         ranges, sigmas = (np.full((len(read), belief.beams), np.nan) for _ in range(2))
         ranges[read], sigmas[read], _, _ = outlook(belief, candidates[candidate[read]])
-        return replace(
-            plan,
-            ranges=ranges,
-            range_sigmas=sigmas,
-            plates={} if plates is None else dict(plates),
-            safe=safe,
-            plate_across=plate_across,
-            uncounted=belief.uncounted,
-        )
+        return replace(plan, ranges=ranges, range_sigmas=sigmas, uncounted=belief.uncounted)
 
 
 def planning_task(

@@ -383,9 +383,7 @@ def driven(
                     break
         return parts, joints, origin
 
-    parts: list[Stations] = []
-    joints: list[FloatArray] = []
-    origin: list[int] = []
+    parts, joints, origin = list[Stations](), list[FloatArray](), list[int]()
     for first, q in _beginnings(robot, stations, plates):
         # From some, the arm is in its own way, or at a limit, soon.
         tried = drive(first, q)

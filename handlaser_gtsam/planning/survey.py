@@ -70,8 +70,6 @@ PAST_CENTRE = 0.6
 """They look past the centre of a sphere by up to this part of its radius."""
 FEWEST = {PLANE.name: 0.6, SPHERE.name: 0.2}
 """This part of the rays of a sensor meets its target at least: a sphere is smaller than a plate."""
-UNDETERMINED_SIGMA = 1.0
-"""Standard deviation [m], [rad] of what is undetermined so far."""
 
 
 def plan_survey(
@@ -155,7 +153,7 @@ def plan_survey(
 class _Known(Aim):
     """What a survey knows of its unknowns, and from when on it knows all of them.
 
-    In `covariance` what is undetermined is known to `UNDETERMINED_SIGMA`. What is to become small are
+    In `covariance` what is undetermined is known to a metre or a radian. What is to become small are
     the spots of the sensors and beams that stations are planned for.
     """
 
@@ -168,7 +166,7 @@ class _Known(Aim):
         self._rows = np.sqrt(information)[:, None] * axes.T
         self._open = bool(calibration.undetermined)
         unit = self._unit
-        H = (axes * information) @ axes.T + np.diag((unit / UNDETERMINED_SIGMA) ** 2)
+        H = (axes * information) @ axes.T + np.diag(unit**2)
         scale = 1.0 / np.sqrt(np.diagonal(H))  # unknowns differ in size
         size, own = np.linalg.eigh(H * np.outer(scale, scale))
         root = own / np.sqrt(np.maximum(size, np.finfo(float).eps))

@@ -107,7 +107,7 @@ class SessionConfig:
         return self.learned.scales.noise(np.vstack((self.learned.mode, self.learned.points)))
 
     @cached_property
-    def _variances(self) -> Variances:
+    def variances(self) -> Variances:
         """The variances behind the covariance of the readings of a station."""
         if self.learned is not None:
             found = self.learned.variances()
@@ -123,14 +123,10 @@ class SessionConfig:
         fields = (field for name, field in FIELDS.items() if name in learned)
         return tuple(field for field in fields if getattr(self.noise, field) is not None)
 
-    def variances(self, stations: int) -> Variances:
-        """Return the variances behind the covariance of the readings of that many stations."""
-        return self._variances.for_stations(stations)
-
     @property
     def base(self) -> Variances:
         """Variances whose pose covariances `sets` multiply."""
-        return self._variances if self.learned is None else self.learned.base
+        return self.variances if self.learned is None else self.learned.base
 
     @property
     def prior(self) -> RangeErrorPrior | None:

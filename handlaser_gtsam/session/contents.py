@@ -92,8 +92,7 @@ class Contents:
     @cached_property
     def fitted(self) -> dict[str, FittedPlane]:
         """These planes as they are in the graph."""
-        planes = self.planes.items()
-        return {name: plane.fitted for name, plane in planes if plane.fitted is not None}
+        return {name: p.fitted for name, p in self.planes.items() if p.fitted is not None}
 
     @property
     def consistent(self) -> dict[str, FittedPlane]:
@@ -103,8 +102,7 @@ class Contents:
     @cached_property
     def numbers(self) -> dict[str, int]:
         """Numbers of these planes."""
-        planes = self.planes.items()
-        return {name: plane.number for name, plane in planes if plane.number is not None}
+        return {name: p.number for name, p in self.planes.items() if p.number is not None}
 
     @property
     def readings(self) -> int:
@@ -125,8 +123,7 @@ class Contents:
     @property
     def excluded(self) -> dict[str, str]:
         """Planes that fit no beams as they are, with the beam without which they would, if any."""
-        planes = self.planes.items()
-        return {name: p.culprit for name, p in planes if p.culprit is not None}
+        return {name: p.culprit for name, p in self.planes.items() if p.culprit is not None}
 
     @property
     def lost(self) -> tuple[str, str]:

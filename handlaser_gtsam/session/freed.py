@@ -22,7 +22,7 @@ from ..solvers.isam import BeamState
 from ..validation.other_recording import BeamDrift
 from .config import SessionConfig
 from .contents import Contents
-from .moved_beam import recent, search
+from .moved_beam import search
 from .plane import fit_plane
 from .reports import ChangeCode, Comparison
 from .state import fitted_planes, undetermined
@@ -96,7 +96,7 @@ class FreedState:
             name: fit_plane(self.config, used.plane(name), beams) for name in self.contents.inside
         }
         fitted = {name: plane for name, plane in every.items() if plane is not None and plane.fits}
-        return search(self.config, fitted, recent(len(fitted)) if recently else None)
+        return search(self.config, fitted, recently=recently)
 
     def compare(self) -> Comparison:
         """Compare with a calibration of the same planes from the beginning."""

@@ -30,12 +30,6 @@ FALSE_ALARMS = 2e-5
 """Probability that a search finds a move where there is none; a session searches at every change."""
 
 
-def recent(count: int) -> IntArray:
-    """Return the epochs 1, 2, 4, ... planes ago, as numbers of planes before them, of `count`."""
-    back = 2 ** np.arange(max(count, 1).bit_length())
-    return count - back[back < count]
-
-
 def moves(config: SessionConfig) -> IntArray:
     """Return which of the unknowns belong to the mount of each beam, (B, 5)."""
     unknowns = np.flatnonzero(config.mask)
@@ -43,7 +37,7 @@ def moves(config: SessionConfig) -> IntArray:
 
 
 def search(
-    config: SessionConfig, planes: Mapping[str, FittedPlane], epochs: IntArray | None = None
+    config: SessionConfig, planes: Mapping[str, FittedPlane], *, recently: bool = False
 ) -> BeamDrift | None:
     """Return the beam that has moved; None where there is no clear sign of it.
 
@@ -52,12 +46,13 @@ def search(
     config : SessionConfig
     planes : mapping of str to FittedPlane
         In their order, all linearised at the same beams.
-    epochs : (E,), optional
-        Numbers of planes before the move; all where not given, and once any of them shows a move.
+    recently : bool
+        Whether to look at the epochs 1, 2, 4, ... planes ago only, until any of them shows a move.
     """
     count = len(planes)
-    if epochs is None:
-        epochs = np.arange(1, count)
+    epochs = np.arange(1, count)  # numbers of planes before the move
+    if recently:
+        epochs = count - 2 ** np.arange(max(count - 1, 0).bit_length())
     if not epochs.size:
         return None
     totals = list(accumulate(plane.information[0] for plane in planes.values()))

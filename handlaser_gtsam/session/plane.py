@@ -131,12 +131,9 @@ class FittedPlane:
     def culprit(self, recording: Recording, state: BeamState) -> str:
         """Return the only beam without which the plane would fit; empty where there is none."""
         culprits = []
-        for column, name in enumerate(
-            recording.beam_names if len(recording.beam_names) > 1 else ()
-        ):
-            bad = np.zeros(recording.ranges.shape, dtype=bool)
-            bad[:, column] = True
-            rest = recording.without(bad)
+        names = recording.beam_names
+        for name in names if len(names) > 1 else ():
+            rest = recording.without(np.array(names) == name)
             fitted = fit_plane(self.config, rest, self.parameters.beams, self.origin)
             if fitted is not None and fitted.agrees(state):
                 culprits.append(name)
@@ -161,7 +158,7 @@ class FittedPlane:
         if self.config.poses == "estimated":
             names = recording.station_names
             number_of = np.array([stations[name] for name in names])
-            variances = self.config.variances(len(names))
+            variances = self.config.variances.for_stations(len(names))
             assert variances.pose is not None, "estimated poses have a covariance"
             how = whitening(self.parameters, readings, variances.without_poses())
             local = pose_priors(readings, variances.pose)
@@ -223,7 +220,7 @@ def fit_plane(
     if origin is None:
         origin = readings.plane_means(readings.world_t_hand)[0]
     readings, stations = readings.seen_from(origin[None]), len(recording.plane_labels)
-    variances, base = config.variances(stations), config.base.for_stations(stations)
+    variances, base = (of.for_stations(stations) for of in (config.variances, config.base))
     r, v, k = at
     # The plane through the laser spots by total least squares, facing away from the beams.
     parameters = grow(PartialStart.of(readings, r=r, v=v, k=k), readings)

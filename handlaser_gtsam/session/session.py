@@ -26,11 +26,10 @@ from ..results.freed import prior_sizes
 from ..results.messages import warned
 from ..results.mounts import Mounts
 from ..validation.other_recording import BeamDrift
-from .config import SessionConfig
 from .contents import Contents
 from .freed import FreedState
 from .reports import Comparison, Update
-from .state import SessionState, begun_or_refused
+from .state import SessionState
 
 AnyState = SessionState | FreedState
 
@@ -251,7 +250,7 @@ class Session:
         now = self.state
         state, config = now.with_shared, now.config
         terms = (config.terms,) * len(config.names)
-        pose = config.variances(1).pose
+        pose = config.variances.pose
         mounts = Mounts(
             config.names,
             *state.beams,
@@ -261,8 +260,8 @@ class Session:
             None if pose is None else pose[0],
             config.sigma_dof,
         )
-        current = tuple(name for name in config.names if name not in now.contents.names)
-        return mounts if current == mounts.names else mounts.arranged(current)
+        moved = now.contents.names
+        return mounts.arranged(tuple(name for name in config.names if name not in moved))
 
     def calibration(self) -> Calibration:
         """Return the batch solution from the present estimate, with all that a calibration states.
@@ -328,18 +327,13 @@ def started(
         if now is not None:  # a new beam that is not determined: nothing is lost
             raise InputError(f"a new beam ({batch.message})", "readings that determine it")
         return None, replace(waits, message=batch.message)
-    new: AnyState
-    if options.free:
-        new = FreedState.of(batch, contents, noise, options)
-    else:
-        config = SessionConfig.of(batch, noise, options)
-        restarted, beams = contents.restarted(batch.fit.rejected), batch.parameters().beams
-        try:
-            new = begun_or_refused(restarted, config, beams)
-        except InputError as error:
-            if now is not None:
-                raise
-            return None, replace(waits, message=str(error))
+    kind: type[AnyState] = FreedState if options.free else SessionState
+    try:
+        new = kind.of(batch, contents, noise, options)
+    except InputError as error:
+        if now is not None:
+            raise
+        return None, replace(waits, message=str(error))
     return new, Update(
         tuple(new.contents.inside),
         new.contents.waiting,
@@ -364,13 +358,10 @@ def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple
     comparison, message = None, ""
     if isinstance(new, SessionState):
         if inconsistent and new.config.reject and not new.trusted:
-            batch, config = new.calibrated()
+            batch, of = new.calibrated()
             if batch.status == "converged":
-                contents = new.contents.restarted(batch.fit.rejected)
-                new, message = (
-                    begun_or_refused(contents, config, batch.parameters().beams),
-                    RESTARTED,
-                )
+                new = SessionState.of(batch, new.contents, of.noise, of.options)
+                message = RESTARTED
                 joined, inconsistent = tuple(new.contents.inside), ()
         new, comparison = new.compared_if_due()
     begun_again = message or (comparison is not None and comparison.changes)

@@ -27,6 +27,7 @@ from ..estimation.learning_scales import (
     beam_posterior,
     integrated_over,
 )
+from ..estimation.options import CalibrationOptions
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution, covariance_of_determined, posterior
 from ..model.families import (
@@ -51,7 +52,7 @@ from ..solvers.isam import BeamState, GraphPart, IncrementalGraph
 from ..validation.other_recording import BeamDrift
 from .config import SessionConfig
 from .contents import Contents, PlaneContents, arranged
-from .moved_beam import recent, search
+from .moved_beam import search
 from .plane import FittedPlane, fit_plane
 from .reports import Comparison
 
@@ -99,6 +100,20 @@ class SessionState:
     compared: BeamState
     learned_with: int
     changes: int = 0
+
+    @classmethod
+    def of(
+        cls, batch: Calibration, contents: Contents, noise: Noise, options: CalibrationOptions
+    ) -> "SessionState":
+        """Return the state that begins with a calibration, converged, of the contents.
+
+        Raises
+        ------
+        InputError
+            The undamped steps of iSAM2 lead nowhere: the readings hardly determine the beams.
+        """
+        config, restarted = SessionConfig.of(batch, noise, options), contents.restarted
+        return begun_or_refused(restarted(batch.fit.rejected), config, batch.parameters().beams)
 
     def __getstate__(self) -> dict[str, object]:
         """Return the attributes: what follows from them may hold factors that GTSAM cannot pickle."""
@@ -161,8 +176,27 @@ class SessionState:
 
     @cached_property
     def problem(self) -> Problem:
-        """The planes in the graph as one problem."""
-        return problem_of(self.contents, self.config)
+        """The planes in the graph as one problem, with rejected readings.
+
+        Planes are as the contents order them, beams as the config does.
+        """
+        contents, config = self.contents, self.config
+        whole = join([plane.recording for plane in contents.inside.values()])
+        recording = arranged(whole, config.names)
+        origins = np.array([plane.origin for plane in contents.fitted.values()])
+        readings, sensor = config.readings(recording), config.options.sensor
+        sizes = len(recording.plane_labels), len(recording.beam_names), len(recording.plane_names)
+        order = Order(*map(np.arange, sizes))  # readings are numbered as in the recording
+        noise = config.noise.without(config.contradicted)
+        return Problem(recording, readings, order, origins, noise, sensor)
+
+    def used(self, reason: str | None = None) -> BoolArray:
+        """Return which readings (N,) of the problem are not rejected, for any reason or for one."""
+        problem, rejected = self.problem, self.contents.rejected
+        out = {(r.station, r.sensor) for r in rejected if reason in (None, r.reason)}
+        stations, beams = problem.recording.station_names, problem.recording.beam_names
+        pairs = zip(problem.readings.station.tolist(), problem.readings.beam.tolist(), strict=True)
+        return np.array([(stations[j], beams[i]) not in out for j, i in pairs], dtype=bool)
 
     @cached_property
     def solution(self) -> Solution:
@@ -173,9 +207,7 @@ class SessionState:
         """Return the batch solution as a calibration, with readings that are not used."""
         problem, solution = self.problem, self.solution
         tried = ((METHOD, float(np.sqrt(np.mean(solution.at.residual**2)))),)
-        used, outside, flat = (
-            used_of(problem, self.contents, reason) for reason in (None, OUTSIDE, FLAT)
-        )
+        used, outside, flat = map(self.used, (None, OUTSIDE, FLAT))
         gone = self.config.contradicted
         chosen = Selection(used, ~outside, ~flat, METHOD, tried, solution, gone)
         found = assemble(problem, chosen)
@@ -186,7 +218,7 @@ class SessionState:
 
     def estimate(self) -> tuple[Readings, Parameters]:
         """Return the readings that are used, and beams and planes, every plane in its frame."""
-        return self.problem.chosen(used_of(self.problem, self.contents)), self.parameters
+        return self.problem.chosen(self.used()), self.parameters
 
     def compare(self) -> Comparison:
         """Compare the beams with the batch solution of the same readings, from the present estimate."""
@@ -260,7 +292,7 @@ class SessionState:
                 contents = contents.with_planes({name: replace(own, rejected=kept)})
         if not names:
             return self
-        again, _, misfits = join_planes(self.config, self.at, self.state, contents, tuple(names))
+        again, _, misfits = self.joined(contents, tuple(names))
         if misfits or set(again.rejected) == set(self.contents.rejected):
             return self
         return self.changed(contents, tuple(names))[0]
@@ -299,7 +331,7 @@ class SessionState:
     def moved(self, *, recently: bool = False) -> BeamDrift | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         planes = self.contents.consistent
-        moved = search(self.config, planes, recent(len(planes)) if recently else None)
+        moved = search(self.config, planes, recently=recently)
         # A beam without which planes that were excluded would fit has moved far, and so has one that
         # lost nearly all its readings.
         excluded = self.contents.excluded.items()
@@ -320,7 +352,7 @@ class SessionState:
         -------
         SessionState
         joined, inconsistent : tuples of str
-            As `join_planes` has them.
+            As `joined` has them.
 
         Raises
         ------
@@ -328,7 +360,7 @@ class SessionState:
             The beams would not be determined.
         """
         config, before = self.config, self.contents.numbers
-        contents, joined, inconsistent = join_planes(config, self.at, self.state, contents, planes)
+        contents, joined, inconsistent = self.joined(contents, planes)
         if not before.keys().isdisjoint(planes):  # a new plane takes nothing away
             used = [plane.used().beam_names for plane in contents.inside.values()]
             lost = [name for name in config.names if not any(name in seen for seen in used)]
@@ -343,7 +375,7 @@ class SessionState:
                 graph, state = self.graph.changed(fresh, gone, None, config.determines, fine=fine)
                 new = replace(new, graph=graph, state=state)
                 if not is_near(config, new.at, state.beams):  # weights and information there
-                    new = new.begun()
+                    new = new.begun(state.beams)
             except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
                 new = new.solved_at_once()
         fewer = gone or contents.readings < self.contents.readings
@@ -351,9 +383,62 @@ class SessionState:
             raise undetermined()
         return new, joined, inconsistent
 
-    def begun(self, beams: Beams | None = None) -> "SessionState":
-        """Return the same from a new graph, which begins with the present beams or others."""
-        new = begin(self.contents, self.config, self.state.beams if beams is None else beams)
+    def joined(
+        self, contents: Contents, names: tuple[str, ...]
+    ) -> tuple[Contents, tuple[str, ...], tuple[str, ...]]:
+        """Join planes to the beams as they are, or take out those that are not determined.
+
+        Parameters
+        ----------
+        contents : Contents
+            With the changes of these planes in them.
+        names : tuple of str
+
+        Returns
+        -------
+        Contents
+            With outliers rejected, and planes that are not determined out of the graph.
+        joined : tuple of str
+            Planes that joined.
+        inconsistent : tuple of str
+            Planes that do not fit, whichever beam has moved a little. They are excluded, or join all
+            the same where nothing is to be rejected.
+        """
+        config, state, joined, inconsistent = self.config, self.state, list[str](), list[str]()
+        for name in names:
+            if name not in contents.planes:
+                continue
+            own = contents.planes[name]
+            origin = None if own.fitted is None else own.fitted.origin
+            fitted = fit_plane(config, own.used(), self.at, origin)
+            if fitted is None:
+                contents = contents.with_planes({name: own.taken_out()})
+                continue
+            flat = ~within_incidence(fitted.readings, fitted.parameters, config.options.sensor)
+            # A plane that all of its readings meet so flat keeps them.
+            bad = fitted.mask(own.used(), flat & ~flat.all())
+            own, fitted = _less(own, fitted, bad, FLAT) or (own, fitted)
+            if config.reject:
+                # Unless a beam that has moved explains them, readings that contradict others are out.
+                less = _less(own, fitted, fitted.outliers(own.used(), state), CONTRADICTED)
+                if less is not None and not _rather_moved(contents, name, fitted, less[1], state):
+                    own, fitted = less
+            if not fitted.fits:
+                inconsistent.append(name)
+                if config.reject:
+                    culprit = fitted.culprit(own.used(), state)
+                    contents = contents.with_planes({name: own.taken_out(culprit)})
+                    continue
+            free = max(contents.numbers.values(), default=-1) + 1
+            number = free if own.number is None else own.number
+            own = replace(own, number=number, fitted=fitted, culprit=None)
+            contents = contents.with_planes({name: own})
+            joined.append(name)
+        return contents, tuple(joined), tuple(inconsistent)
+
+    def begun(self, beams: Beams) -> "SessionState":
+        """Return the same from a new graph, which begins with some beams."""
+        new = begin(self.contents, self.config, beams)
         return replace(
             new, compared=self.compared, learned_with=self.learned_with, changes=self.changes
         )
@@ -371,15 +456,14 @@ class SessionState:
         """
         config, beams = self.config, self.state.beams
         try:
-            contents = fitted_planes(self.contents, config, beams)
-            fitted = contents.fitted.values()
+            new = replace(self, contents=fitted_planes(self.contents, config, beams))
+            fitted = new.contents.fitted.values()
             if not fitted:
                 raise RuntimeError("no plane is left")
             normals = np.concatenate([plane.parameters.normals for plane in fitted])
             offsets = np.concatenate([plane.parameters.offsets for plane in fitted])
             start = Parameters(*beams, normals, offsets)
-            problem = problem_of(contents, config)
-            found = solved(config, problem.chosen(used_of(problem, contents)), start)
+            found = solved(config, new.problem.chosen(new.used()), start)
             begun = self.begun(found.parameters.beams)
             if not config.determines(begun.state):
                 raise RuntimeError("too few planes are left")
@@ -460,32 +544,9 @@ def begun_or_refused(contents: Contents, config: SessionConfig, beams: Beams) ->
         raise undetermined(f" ({error})") from error
 
 
-def problem_of(contents: Contents, config: SessionConfig) -> Problem:
-    """Return the planes in the graph of a session as one problem, with rejected readings.
-
-    Planes are as the contents order them, beams as the config does.
-    """
-    whole = join([plane.recording for plane in contents.inside.values()])
-    recording = arranged(whole, config.names)
-    origins = np.array([plane.origin for plane in contents.fitted.values()])
-    readings, sensor = config.readings(recording), config.options.sensor
-    sizes = len(recording.plane_labels), len(recording.beam_names), len(recording.plane_names)
-    order = Order(*map(np.arange, sizes))  # readings are numbered as in the recording
-    noise = config.noise.without(config.contradicted)
-    return Problem(recording, readings, order, origins, noise, sensor)
-
-
-def used_of(problem: Problem, contents: Contents, reason: str | None = None) -> BoolArray:
-    """Return which readings (N,) of a problem are not rejected, for any reason or for one."""
-    out = {(r.station, r.sensor) for r in contents.rejected if reason in (None, r.reason)}
-    stations, beams = problem.recording.station_names, problem.recording.beam_names
-    pairs = zip(problem.readings.station.tolist(), problem.readings.beam.tolist(), strict=True)
-    return np.array([(stations[j], beams[i]) not in out for j, i in pairs], dtype=bool)
-
-
 def solved(config: SessionConfig, readings: Readings, start: Parameters) -> Solution:
     """Return the batch solution of readings at the scales of a config, which are integrated over."""
-    learned, known = config.learned, config.variances(1)
+    learned, known = config.learned, config.variances
     pose = np.zeros((6, 6)) if known.pose is None else known.pose[0]
     sigma = max(float(known.range_sigma[0]), LEAST_SIGMA)
     noise = Noise(sigma, incidence_sigma=known.incidence_sigma, pose_covariance=pose)
@@ -504,7 +565,7 @@ def scale_problem(
 ) -> ScaleProblem:
     """Return the scales that are learned as a problem about some parameters."""
     stations = int(readings.station.max()) + 1
-    readings, _ = weighed(readings, at, config.variances(stations), config.terms)
+    readings, _ = weighed(readings, at, config.variances.for_stations(stations), config.terms)
     base, scales = learned.base.for_stations(stations), learned.scales
     of = at, readings, config.terms, base, scales, learned.linearity
     return ScaleProblem(*of, length=learned.length)
@@ -550,63 +611,6 @@ def fitted_planes(contents: Contents, config: SessionConfig, at: Beams) -> Conte
     return contents.with_planes(planes)
 
 
-def join_planes(
-    config: SessionConfig, at: Beams, state: BeamState, contents: Contents, names: tuple[str, ...]
-) -> tuple[Contents, tuple[str, ...], tuple[str, ...]]:
-    """Join planes to the beams as they are, or take out those that are not determined.
-
-    Parameters
-    ----------
-    config : SessionConfig
-    at : Beams
-        Beams about which all planes are linearised.
-    state : BeamState
-        Beams as they are.
-    contents : Contents
-        With the changes of these planes in them.
-    names : tuple of str
-
-    Returns
-    -------
-    Contents
-        With outliers rejected, and planes that are not determined out of the graph.
-    joined : tuple of str
-        Planes that joined.
-    inconsistent : tuple of str
-        Planes that do not fit, whichever beam has moved a little. They are excluded, or join all the
-        same where nothing is to be rejected.
-    """
-    joined: list[str] = []
-    inconsistent: list[str] = []
-    for name in names:
-        if name not in contents.planes:
-            continue
-        own = contents.planes[name]
-        origin = None if own.fitted is None else own.fitted.origin
-        fitted = fit_plane(config, own.used(), at, origin)
-        if fitted is None:
-            contents = contents.with_planes({name: own.taken_out()})
-            continue
-        own, fitted = _less(own, fitted, _flat(fitted, own), FLAT) or (own, fitted)
-        if config.reject:
-            # Unless a beam that has moved explains them, readings that contradict others are out.
-            less = _less(own, fitted, fitted.outliers(own.used(), state), CONTRADICTED)
-            if less is not None and not _rather_moved(contents, name, fitted, less[1], state):
-                own, fitted = less
-        if not fitted.fits:
-            inconsistent.append(name)
-            if config.reject:
-                culprit = fitted.culprit(own.used(), state)
-                contents = contents.with_planes({name: own.taken_out(culprit)})
-                continue
-        free = max(contents.numbers.values(), default=-1) + 1
-        number = free if own.number is None else own.number
-        own = replace(own, number=number, fitted=fitted, culprit=None)
-        contents = contents.with_planes({name: own})
-        joined.append(name)
-    return contents, tuple(joined), tuple(inconsistent)
-
-
 def _less(
     own: PlaneContents, fitted: FittedPlane, bad: BoolArray | None, reason: str
 ) -> tuple[PlaneContents, FittedPlane] | None:
@@ -616,16 +620,6 @@ def _less(
     less = own.less(bad, reason)
     again = fit_plane(fitted.config, less.used(), fitted.parameters.beams, fitted.origin)
     return None if again is None else (less, again)
-
-
-def _flat(fitted: FittedPlane, own: PlaneContents) -> BoolArray | None:
-    """Return the readings (M, B) that meet the plane flatter than the sensor allows."""
-    readings, sensor = fitted.readings, fitted.config.options.sensor
-    if sensor.max_incidence >= 0.5 * np.pi:
-        return None
-    flat = np.ones(len(readings), dtype=bool)
-    flat[within_incidence(readings, fitted.parameters, sensor)] = False
-    return None if flat.all() else fitted.mask(own.used(), flat)
 
 
 def _rather_moved(
@@ -640,7 +634,7 @@ def _rather_moved(
     own = replace(contents.planes[name], fitted=fitted)
     planes = contents.with_planes({name: own}).fitted
     planes = {plane: one for plane, one in planes.items() if one.fits or plane == name}
-    moved = search(fitted.config, planes, recent(len(planes)))
+    moved = search(fitted.config, planes, recently=True)
     if moved is None:
         return False
     d, sigma = fitted.readings.distance, fitted.whitening.sigma

@@ -117,8 +117,7 @@ def cross_check(
             raise InputError("a recording beside the result of a survey", "none: it holds its own")
         return _of_survey(calibration)
     require_kind("calibration", calibration, Calibration, "a Calibration or a SurveyCalibration")
-    if recording is None:
-        recording = calibration.recording
+    recording = calibration.recording if recording is None else recording
     if recording is None:
         raise InputError("a calibration without its recording", "the recording beside it")
     require_kind("recording", recording, Recording)

@@ -21,7 +21,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple, overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -264,7 +264,13 @@ def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: boo
     every = np.tile(BEAM.natural_units(readings.typical_range()), readings.beams)
     unit, beam = every[active], np.repeat(np.arange(readings.beams), BEAM.dim)[active]
     known, cost = noise.range_sigma is not None, float(white @ white)
-    squares = _squares(at, readings, how, active, cost, known, mounts.dof)
+    squares = _Squares(at, readings, how, active, cost, known)
+    behind = min(np.inf if squares.known else max(squares.dof, 1), mounts.dof)
+
+    def p_value(statistic: float, degrees: int) -> float:
+        """Return the probability of a larger statistic; NaN without degrees of freedom."""
+        return float(squares_sf(statistic, degrees, behind)) if degrees else math.nan
+
     bases = model.tangent_basis(mounts.directions)
     lift = beams_lift(bases, mounts.terms)
     covariance = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
@@ -279,8 +285,7 @@ def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: boo
         fall, x = squares.least(others, np.eye(len(own))[:, mine])
         statistic, dx = max(fall - held, 0.0), (x * unit)[mine]
         degrees = min(int(mine.sum()), rank)
-        p = squares.p_value(statistic, degrees)
-        rest = squares.p_value(drift - statistic, rank - degrees)
+        p, rest = p_value(statistic, degrees), p_value(drift - statistic, rank - degrees)
         turn = float(np.linalg.norm(dx[DIRECTION]))
         drifts.append(BeamDrift(name, statistic, p, dx[LOCATION], turn, rest_p_value=rest))
     # A twist (w, u) of the hand moves r by w x r + u, and v by w x v.
@@ -299,22 +304,34 @@ def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: boo
         float(np.abs(e[worst])),
         chi2 * squares.scale,
         dof,
-        float(squares_sf(chi2, dof, np.inf if known else mounts.dof)) if tested else float("nan"),
+        float(squares_sf(chi2, dof, np.inf if known else mounts.dof)) if tested else math.nan,
         drift,
         rank,
-        squares.p_value(drift, rank),
+        p_value(drift, rank),
         tuple(drifts),
         alike,
-        squares.p_value(drift - (fall - held), rank - min(6, rank)),
+        p_value(drift - (fall - held), rank - min(6, rank)),
         (recording.station_names[readings.station[worst]], mounts.names[readings.beam[worst]]),
     )
 
 
-class _Squares(NamedTuple):
-    """What a recording says of beams, its planes fitted to them.
+class _Squares:
+    """What a recording says of the `active` unknowns of beams, its planes fitted to them.
 
     Beams that differ by x from the calibrated ones, in natural units, have the sum of squares
     chi2(b + x) = chi2 + fall + 2 gradient' x + x' information x.
+
+    Parameters
+    ----------
+    at : Parameters
+        The beams as calibrated, and the planes that fit.
+    readings : Readings
+    how : Whitening
+    active : (7 B,) of bool
+    cost : float
+        Sum of squares there, in units of the stated noise.
+    given : bool
+        Whether the range sigma was given.
 
     Attributes
     ----------
@@ -328,19 +345,36 @@ class _Squares(NamedTuple):
         Of the information, and degrees of freedom beside it.
     known : bool
         Whether the noise is known; else it is what the readings show.
-    behind : float
-        Degrees of freedom behind the range sigma of the calibration.
     """
 
-    information: FloatArray
-    gradient: FloatArray
-    chi2: float
-    fall: float
-    scale: float
-    rank: int
-    dof: int
-    known: bool
-    behind: float
+    def __init__(
+        self,
+        at: Parameters,
+        readings: Readings,
+        how: Whitening,
+        active: BoolArray,
+        cost: float,
+        given: bool,
+    ) -> None:
+        normal, _ = linearized(at, readings, 2, how)
+        length = readings.typical_range()
+        every = np.tile(BEAM.natural_units(length), readings.beams)
+        reduced = normal.reduced(every, PLANE.natural_units(length), active)
+        values, axes = np.linalg.eigh(reduced.matrix / how.sigma**2)
+        free = len(readings) - 3 * readings.planes
+        along = axes.T @ reduced.gradient / how.sigma**2
+        self.scale, keep = 1.0, values > KNOWN**-2
+        # Few readings cannot tell their own sigma: that of the calibration stands for it.
+        self.known = given or free - int(keep.sum()) < FEW_DEGREES
+        # In three rounds the scale of the noise and the directions that it determines settle together.
+        for _ in range(0 if self.known else 3):
+            rest = cost - float((along[keep] ** 2 / values[keep]).sum())
+            self.scale = rest / (free - int(keep.sum()))
+            keep = values / self.scale > KNOWN**-2
+        axes, values, along = axes[:, keep], values[keep] / self.scale, along[keep] / self.scale
+        self.fall, self.rank = float((along**2 / values).sum()), int(keep.sum())
+        self.chi2, self.dof = cost / self.scale - self.fall, free - self.rank
+        self.information, self.gradient = (axes * values) @ axes.T, axes @ along
 
     def least(self, root: FloatArray, free: FloatArray) -> tuple[float, FloatArray]:
         """Return by how much chi2 falls, and for which x = root z + free y; z' z adds to chi2."""
@@ -350,59 +384,6 @@ class _Squares(NamedTuple):
         b = A.T @ self.gradient
         z = -np.linalg.pinv(Q, rcond=SINGULAR, hermitian=True) @ b
         return float(-b @ z), A @ z
-
-    def p_value(self, statistic: float, degrees: int) -> float:
-        """Return the probability of a larger statistic; NaN without degrees of freedom."""
-        if degrees == 0:
-            return float("nan")
-        own = np.inf if self.known else max(self.dof, 1)
-        return float(squares_sf(statistic, degrees, min(own, self.behind)))
-
-
-def _squares(
-    at: Parameters,
-    readings: Readings,
-    how: Whitening,
-    active: BoolArray,
-    cost: float,
-    known: bool,
-    behind: float,
-) -> _Squares:
-    """Return what readings say of the `active` (7 B,) unknowns of beams.
-
-    Parameters
-    ----------
-    at : Parameters
-        The beams as calibrated, and the planes that fit.
-    readings : Readings
-    how : Whitening
-    active : (7 B,) of bool
-    cost : float
-        Sum of squares there, in units of the stated noise.
-    known : bool
-        Whether the range sigma was given.
-    behind : float
-        Degrees of freedom behind that of the calibration.
-    """
-    normal, _ = linearized(at, readings, 2, how)
-    length = readings.typical_range()
-    every = np.tile(BEAM.natural_units(length), readings.beams)
-    reduced = normal.reduced(every, PLANE.natural_units(length), active)
-    values, axes = np.linalg.eigh(reduced.matrix / how.sigma**2)
-    free = len(readings) - 3 * readings.planes
-    along = axes.T @ reduced.gradient / how.sigma**2
-    scale, keep = 1.0, values > KNOWN**-2
-    # Few readings cannot tell their own sigma: that of the calibration stands for it.
-    known = known or free - int(keep.sum()) < FEW_DEGREES
-    # In three rounds the scale of the noise and the directions that it determines settle together.
-    for _ in range(0 if known else 3):
-        rest = cost - float((along[keep] ** 2 / values[keep]).sum())
-        scale = rest / (free - int(keep.sum()))
-        keep = values / scale > KNOWN**-2
-    axes, values, along = axes[:, keep], values[keep] / scale, along[keep] / scale
-    fall, rank = float((along**2 / values).sum()), int(keep.sum())
-    chi2, information = cost / scale - fall, (axes * values) @ axes.T
-    return _Squares(information, axes @ along, chi2, fall, scale, rank, free - rank, known, behind)
 
 
 def _explanations(
@@ -428,9 +409,7 @@ def _explanations(
         return lambda whole: whole.part(np.array(names) != name)
 
     def without_beam(name: str) -> Change:
-        return lambda whole: whole.without(
-            np.broadcast_to(np.array(whole.beam_names) == name, whole.ranges.shape)
-        )
+        return lambda whole: whole.without(np.array(whole.beam_names) == name)
 
     def exchanged(one: str, two: str) -> Change:
         other = {one: two, two: one}
@@ -469,10 +448,8 @@ def _explanations(
         (warned("explained:file", {"mistake": words}), undone)
         for words, undone in (ALL_LENGTHS | HYPOTHESES).items()
     ]
-    for candidates in (first, then):
-        if candidates is first or not causes:
-            causes += [warning for warning, change in candidates if holds(change)]
-    return causes
+    causes += [warning for warning, change in first if holds(change)]
+    return causes or [warning for warning, change in then if holds(change)]
 
 
 def _noise_alike(found: HoldOut) -> bool:

@@ -83,9 +83,9 @@ def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Pre
     joint = calibration.covariance
     if joint is None or calibration.status != "converged":
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
-    _require_known(joint, recording)
-    beams = [joint.beam_names.index(name) for name in recording.beam_names]
-    ranges = calibration.reading_variances.range_sigma[beams]
+    sigmas = calibration.reading_variances.range_sigma.tolist()
+    of_beam = dict(zip(joint.beam_names, sigmas, strict=True))
+    ranges = np.array([of_beam.get(name, np.nan) for name in recording.beam_names])
     pose = None
     if calibration.fit.poses != "exact":
         stations = len(recording.plane_labels)
@@ -113,7 +113,7 @@ def predicted(
     InputError
         A plane or beam of the recording is not known.
     """
-    _require_known(joint, recording)
+    S = joint.matrix(recording.beam_names, recording.plane_names)
     readings = recording.readings()
     beams = [joint.beam_names.index(name) for name in recording.beam_names]
     planes = [joint.plane_names.index(name) for name in recording.plane_names]
@@ -121,7 +121,6 @@ def predicted(
     x = model.scene(at, readings)
     lin = model.linearize(x, readings.distance)
     J = np.hstack((lin.location, lin.direction, lin.range_error, lin.normal, lin.offset[:, None]))
-    S = joint.matrix(recording.beam_names, recording.plane_names)
     width = len(PLANE.numbers)
     of_beam = BEAM.size * readings.beam[:, None] + np.arange(BEAM.size)
     of_plane = BEAM.size * len(beams) + width * readings.plane[:, None] + np.arange(width)
@@ -171,17 +170,6 @@ def pooled(predictions: Sequence[Prediction]) -> Prediction | None:
     total = int(tests.sum())
     rms, unit = np.sqrt(tests @ rms**2 / total), np.sqrt(tests @ unit**2 / total)
     return Prediction(total, float(rms), largest, float(unit))
-
-
-def _require_known(joint: JointCovariance, recording: Recording) -> None:
-    """Refuse a recording with planes or beams that were not calibrated."""
-    for kind, names, known in (
-        ("plane", recording.plane_names, joint.plane_names),
-        ("beam", recording.beam_names, joint.beam_names),
-    ):
-        unknown = [name for name in names if name not in known]
-        if unknown:
-            raise InputError(f"{kind} {unknown[0]}", f"one of {', '.join(known)}")
 
 
 def _prediction(e: FloatArray, sigmas: FloatArray) -> Prediction:

@@ -8,7 +8,6 @@ held out has contributed to them.
 """
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -33,7 +32,7 @@ from .prediction import Prediction, predicted
 from .validation import USUAL_SPLITS, Validation, drawn, leave_out
 
 
-class WholeSolution(NamedTuple):
+class WholeSolution:
     """What stays as it was found from everything.
 
     Attributes
@@ -47,37 +46,27 @@ class WholeSolution(NamedTuple):
     variances : Variances
         Of the readings, by beam and station of the recording.
     prior : RangeErrorPrior or None
+
+    Raises
+    ------
+    SolverError
+        A calibration that did not converge, does not hold its recording, has a robust loss, or differs
+        in its range-error terms from beam to beam.
     """
 
-    recording: Recording
-    at: Parameters
-    terms: int
-    variances: Variances
-    prior: RangeErrorPrior | None
-
-    @classmethod
-    def of(cls, calibration: Calibration) -> "WholeSolution":
-        """Return what stays of a calibration.
-
-        Raises
-        ------
-        SolverError
-            It did not converge, does not hold its recording, has a robust loss, or differs in its
-            range-error terms from beam to beam.
-        """
+    def __init__(self, calibration: Calibration) -> None:
         recording, fit = calibration.recording, calibration.fit
         terms = {beam.terms for beam in calibration.beams.values()}
         if calibration.status != "converged" or recording is None:
             raise SolverError("no calibration that holds its recording")
         if fit.loss != GAUSSIAN.name or len(terms) > 1:
             raise SolverError(f"a {fit.loss} loss, or beams of different range errors")
-        used = calibration.used_in(recording)
-        if used.beam_names != recording.beam_names:
+        self.recording, self.terms = calibration.used_in(recording), terms.pop()
+        if self.recording.beam_names != recording.beam_names:
             raise SolverError("a beam that lost all its readings")
         scaled = calibration.at_scales
-        at = calibration.parameters() if scaled is None else scaled.parameters
-        variances, prior = calibration.reading_variances, calibration.range_error_prior
-        return cls(used, at, terms.pop(), variances, prior)
+        self.at = calibration.parameters() if scaled is None else scaled.parameters
+        self.variances, self.prior = calibration.reading_variances, calibration.range_error_prior
 
     def stations(self, chosen: BoolArray) -> tuple[Recording, Variances]:
         """Return the `chosen` (M,) stations, with the beams that read anything there, and their noise.
@@ -156,10 +145,10 @@ def held_out(calibration: Calibration) -> Validation:
     InputError
         What is no calibration.
     SolverError
-        `WholeSolution.of` knows of nothing to hold out.
+        `WholeSolution` knows of nothing to hold out.
     """
     require_kind("calibration", calibration, Calibration)
-    whole = WholeSolution.of(calibration)
+    whole = WholeSolution(calibration)
     fit, planes = calibration.fit, whole.recording.plane_names
     known = fit.range_sigma_given or bool(calibration.noise_estimate)
     sigma = fit.range_sigma if known else None

@@ -157,13 +157,10 @@ def verdict_of_validation(validation: Validation, limits: Limits | None = None) 
     else:
         judged = verdict(calibration, limits)
         last = [judged.best.clause]
-    held = {one.name: one.result for one in validation.targets}
-    fitted = {name: found for name, found in held.items() if isinstance(found, HoldOut)}
-    checks = tuple(
-        check
-        for name, found in fitted.items()
-        for check in rms_checked(f"without plane {name}", found.rms, limits)
-    )
+    held = [(one.name, one.result) for one in validation.targets]
+    fitted = [(name, found.rms) for name, found in held if isinstance(found, HoldOut)]
+    of_planes = (rms_checked(f"without plane {name}", rms, limits) for name, rms in fitted)
+    checks = tuple(check for found in of_planes for check in found)
     against = tuple(one.name for one in validation.contradicted)
     judged = replace(judged, limits=(*judged.limits, *checks))
     if not judged.usable:

@@ -150,11 +150,11 @@ def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecas
         How many, ascending, in the order of the recording; the last is all of them.
     known : Forecast
         The largest of all beams, (K,) each; NaN where something is still undetermined. None in place of
-        both where `WholeSolution.of` refuses the calibration, or it has no covariance.
+        both where `WholeSolution` refuses the calibration, or it has no covariance.
     """
     joint = calibration.covariance
     try:
-        whole = WholeSolution.of(calibration)
+        whole = WholeSolution(calibration)
     except SolverError:
         return None
     if joint is None:
