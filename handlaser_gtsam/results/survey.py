@@ -40,13 +40,12 @@ from ..model.joint import beam_lifts
 from ..model.sensor_limits import Rejected
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
-from ..observability.wording import open_sentence
 from .limits import Limits
 from .messages import said
 from .result import Result
 from .spots import radius, spot_of
 from .survey_misfit import FALSE_RELATION, MISREAD, NO_FIT
-from .survey_motion import counts_of, open_words, opening
+from .survey_motion import counts_of, leaves_open, open_words
 from .survey_verdict import survey_verdict
 from .survey_warnings import rejected_of, survey_warnings
 from .verdict import Verdict
@@ -364,7 +363,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     turn, shift = found.noise.pose
     stated = bool((np.array(found.stated.pose) == 1.0).all())  # covariances of the poses
     relations = found.tests
-    warnings = tuple(survey_warnings(found, sensors, beams, relations, rejected))
+    warnings = tuple(survey_warnings(found, sensors, beams))
     wrong = next((one.message for one in warnings if one.code in (NO_FIT, *MISREAD)), None)
     causes = {"range-error", DISPLACED} if restless else {DISPLACED}
     cause = next((one.message for one in warnings if one.code in causes), None)
@@ -385,7 +384,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         information, axes, _ = _information(found)
         null = axes[:, information < least_information(information)]
         moving, advice = open_words(rows, estimate, null, found.images)
-        undetermined = (open_sentence(moving, advice, opening(*counts_of(rows), advice)),)
+        undetermined = (leaves_open(*counts_of(rows), moving, advice),)
         message = undetermined[0]
     return SurveyCalibration(
         status,

@@ -30,7 +30,6 @@ from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, DIRECTION, LOCATION, pose_of
 from ..model.sensors.mounted import SENSOR
 from ..observability.motion import PlaneMotion, motion_before
-from ..observability.wording import open_sentence
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
 from ..text import count
 from .survey_misfit import (
@@ -50,11 +49,11 @@ from .survey_motion import (
     CURE_OF_A_CIRCLE,
     MORE_STATIONS,
     counts_of,
+    leaves_open,
     open_words,
-    opening,
     unconfirmed_mount,
 )
-from .survey_warnings import many_rejected, rejected_of, unread_stations
+from .survey_warnings import many_rejected, unread_stations
 
 DOUBTS = (NO_FIT, *MISREAD, FALSE_RELATION)
 """Codes of warnings with which the motion is not judged: the gravest first."""
@@ -132,8 +131,7 @@ class SurveyCheck(Value):
         """What is undetermined, and what would determine it; empty where nothing is."""
         if not self.undetermined:
             return ""
-        why = opening(self.numbers, self.unknowns, self.advice)
-        return open_sentence(self.undetermined, self.advice, why)
+        return leaves_open(self.numbers, self.unknowns, self.undetermined, self.advice)
 
     @property
     def doubt(self) -> str | None:
@@ -195,7 +193,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
             fits = fits or learned.fits
             warnings = (*warnings, *contradictions(learned.tests))
     if fits:
-        warnings = (*warnings, *many_rejected(settled, tuple(rejected_of(settled))))
+        warnings = (*warnings, *many_rejected(settled))
     if not fits:
         warnings = (no_fit(rows, first, causes, noise), *warnings)
     another = unconfirmed_mount(rows)

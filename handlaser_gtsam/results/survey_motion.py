@@ -1,7 +1,7 @@
 """What a survey leaves undetermined, in words: by the kind of its motion, by circles, or one by one."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -17,7 +17,14 @@ from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE
 from ..observability.motion import COUNTED_TURN, PoorMotion, named
-from ..observability.wording import MOUNTED, WORTH_A_WORD, Kind, OpenPart, vector_words
+from ..observability.wording import (
+    MOUNTED,
+    WORTH_A_WORD,
+    Kind,
+    OpenPart,
+    open_sentence,
+    vector_words,
+)
 from ..quantities import FAR_SIGMAS, IN_DEG, NEGLIGIBLE
 from ..text import some
 from .lines import NAMES_IN_LINE
@@ -111,11 +118,14 @@ def unconfirmed_mount(rows: SurveyRows) -> str:
     return "whether another mount fits as well" if numbers - largest < unknowns else ""
 
 
-def opening(numbers: int, unknowns: int, advice: Sequence[str]) -> str:
-    """Return how a sentence on what is undetermined begins: with the motion, or too few stations."""
-    if advice and advice[0] == MORE_STATIONS:
-        return f"too few stations, {numbers} numbers from shots for {unknowns} unknowns, leave open"
-    return "the motion leaves open"
+def leaves_open(
+    numbers: int, unknowns: int, undetermined: tuple[str, ...], advice: tuple[str, ...]
+) -> str:
+    """Return what the motion, or too few stations, leave open, and what determines it."""
+    if advice[:1] != (MORE_STATIONS,):
+        return open_sentence(undetermined, advice)
+    few = f"too few stations, {numbers} numbers from shots for {unknowns} unknowns, leave open"
+    return open_sentence(undetermined, advice, few)
 
 
 def _words_of_images(

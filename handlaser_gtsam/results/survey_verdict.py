@@ -15,7 +15,6 @@ import numpy as np
 
 from ..errors import CalibrationWarning
 from ..estimation.estimate import covariance_along, information_axes
-from ..estimation.survey_trials import ALIKE, BOTH_AXES
 from ..quantities import IN_PERCENT
 from ..text import some
 from .limits import LimitCheck, Limits, sigmas_checked
@@ -176,11 +175,6 @@ def _range_errors(
     for one in result.warnings:
         if one.code == "range-error" and harmful and one.values["sensor"] == harmful[0]:
             yield one
-
-
-def free_of(code: str) -> str:
-    """Return what stands between the quotes of `free` to estimate a range error of a sensor."""
-    return '", "'.join(ALIKE) if code == BOTH_AXES else code
 
 
 def _improvement(
