@@ -11,6 +11,7 @@ survey, too. Cones are tried with other angles once all is solved.
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from difflib import get_close_matches
 from itertools import pairwise
@@ -142,11 +143,8 @@ def _misheard(
 
     def fitted(half_angle: float, beside: SurveyEstimate) -> tuple[SurveyEstimate, float]:
         other = replace(survey, half_angle=np.where(mine, half_angle, survey.cones))
-        try:
-            again = estimate_survey(other, noise, beside)
-        except InputError:  # no start with this angle
-            return beside, np.inf
-        if again.estimate.status not in ("converged", "contradicted"):
+        again = _again(other, noise, beside)
+        if again is None:
             return beside, np.inf
         squares = again.estimate.chi2 + FAR_SIGMAS**2 * float((~again.used).sum())
         return again, squares
@@ -187,6 +185,14 @@ def _misheard(
         )
 
 
+def _again(survey: Survey, noise: Noise, earlier: SurveyEstimate) -> SurveyEstimate | None:
+    """Return the estimate of a survey from where another ended; None where it ends in no minimum."""
+    with suppress(InputError):  # no start
+        found = estimate_survey(survey, noise, earlier)
+        return found if found.estimate.status in ("converged", "contradicted") else None
+    return None
+
+
 def _shift_of_beams(found: SurveyEstimate, other: SurveyEstimate) -> tuple[float, float]:
     """Return the largest shift of a beam between two estimates, in its sigmas and in metres."""
     moved = other.estimate.values[BEAM.name][:, :3] - found.estimate.values[BEAM.name][:, :3]
@@ -215,11 +221,8 @@ def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             continue
         changed = list(survey.shots)
         changed[member] = shots.clear_of(float(edges[-1]))
-        try:
-            clear = estimate_survey(replace(survey, shots=tuple(changed)), found.given, found)
-        except InputError:  # no start without these readings
-            continue
-        if clear.estimate.status not in ("converged", "contradicted"):
+        clear = _again(replace(survey, shots=tuple(changed)), found.given, found)
+        if clear is None:
             continue
         sigma, miss = float(clear.noise.sigma[member]), _misses(found.rows, clear, member)
         limit = 0.0
@@ -255,12 +258,11 @@ def _misses(rows: SurveyRows, clear: SurveyEstimate, member: int) -> FloatArray:
     NaN where the target is no plane, or not known to that estimate.
     """
     shots, labels = rows.survey.shots[member], rows.survey.stations.plane_labels
-    values = {name: x[None] for name, x in clear.estimate.values.items()}
     miss = np.full(len(shots.reading), np.nan)
     names = np.array([normal_label(label) for label in labels])[shots.station]
     for plane, label in enumerate(clear.rows.targets.get(PLANE.name, ())):
         some = np.flatnonzero(names == label)
-        miss[some] = misses_of(rows, values, member, (PLANE.name, plane), some)
+        miss[some] = misses_of(rows, clear.values, member, (PLANE.name, plane), some)
     return miss
 
 
@@ -446,26 +448,17 @@ def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
     each = defaultdict[str, dict[Entity, list[float]]](lambda: defaultdict(list))
     for item, misfit in zip(state.rows.items, state.misfits().tolist(), strict=True):
         each[labels[item.station]][item.mount].append(misfit)
-    flat = {
-        label
-        for label, (*_, radius) in zip(
-            state.rows.targets.get(SPHERE.name, ()),
-            state.values.get(SPHERE.name, np.empty((1, 0, 4)))[0].tolist(),
-            strict=True,
-        )
-        if radius > LARGEST_BALL * state.rows.length
-    }
-    return {
-        label: kind
-        for label, kind in suspects.items()
-        if renamed[label] not in flat
-        and label in each
-        and all(
-            np.median(own) < GROSS
-            for own in each[label].values()
-            if len(own) >= min(3, max(map(len, each[label].values())))
-        )
-    }
+    radii = state.values.get(SPHERE.name, np.empty((1, 0, SPHERE.size)))[0, :, -1].tolist()
+    balls = zip(state.rows.targets.get(SPHERE.name, ()), radii, strict=True)
+    flat = {label for label, radius in balls if radius > LARGEST_BALL * state.rows.length}
+    better = {}
+    for label, kind in suspects.items():
+        shots = each[label].values()
+        least = min(3, max(map(len, shots), default=0))
+        fits = [np.median(own) < GROSS for own in shots if len(own) >= least]
+        if fits and all(fits) and renamed[label] not in flat:
+            better[label] = kind
+    return better
 
 
 def _looks_other(sensors: Sequence[Shots], labels: Sequence[str], label: str) -> bool:

@@ -7,6 +7,7 @@ survey then move to the ends that may fit as well.
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -156,14 +157,12 @@ def _rough_beam(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     of the others by an F test.
     """
     rows, (e, left, owner) = found.rows, found.residuals()
-    own: dict[int, dict[str, FloatArray]] = {}
-    for (family, member), source in rows.sources.items():
-        if family == BEAM.name and np.isnan(found.stated.sigma[source]):
-            mount = family, member
+    own = defaultdict[int, dict[str, FloatArray]](dict)
+    for mount, source in rows.sources.items():
+        if mount[0] == BEAM.name and np.isnan(found.stated.sigma[source]):
             items = [i.mount == mount and i.target[0] != POINT.name for i in rows.items]
             of = np.isin(owner, np.flatnonzero(items))
-            squares = np.array([e[of] @ e[of], left[of].sum()])
-            own.setdefault(source, {})[rows.mounts[mount]] = squares
+            own[source][rows.mounts[mount]] = np.array([e[of] @ e[of], left[of].sum()])
     for source, beams in own.items():
         total = np.sum(list(beams.values()), axis=0)
         for name, (squares, dof) in beams.items():
@@ -251,13 +250,12 @@ def unread_stations(rows: SurveyRows) -> Iterator[CalibrationWarning]:
     unread = stations - len(read)
     labels = survey.stations.plane_labels
     if unread:
-        left: dict[str, int | str] = {"stations": unread, "total": stations}
         seen = {labels[at] for at in read}
         targets = some([one for one in dict.fromkeys(labels) if one not in seen], NAMES_IN_LINE)
-        if targets:
-            left["targets"] = targets
+        left = {"targets": targets} if targets else {}
         nothing = f"; nothing was read of {targets}" if targets else ""
-        yield warned("stations-left-out", left, nothing=nothing)
+        counts = {"stations": unread, "total": stations}
+        yield warned("stations-left-out", {**counts, **left}, nothing=nothing)
     edgeless = rows.edgeless
     for label in edgeless:
         shots = sum(labels[at] == label for _, at in rows.lost)
@@ -265,17 +263,14 @@ def unread_stations(rows: SurveyRows) -> Iterator[CalibrationWarning]:
         yield warned("no-edge", {"target": label, "shots": shots, "label": plane})
     lost = [(member, at) for member, at in rows.lost if labels[at] not in edgeless]
     if lost:
-        listed = [
-            f"sensor {survey.shots[member].name} at station {names[at]}" for member, at in lost
-        ]
-        values: Values = {"shots": len(lost), "names": some(listed, NAMES_IN_LINE)}
+        listed = [f"sensor {survey.shots[i].name} at station {names[at]}" for i, at in lost]
         counted = {normal_label(labels[item.station]) for item in rows.items}
         lost_labels = dict.fromkeys(normal_label(labels[at]) for _, at in lost)
-        gone = [label for label in lost_labels if label not in counted]
-        if gone:
-            values = {**values, "targets": some(gone, NAMES_IN_LINE)}
-        uncounted = f", so that no shot of {values['targets']} counts" if gone else ""
+        targets = some([one for one in lost_labels if one not in counted], NAMES_IN_LINE)
+        gone = {"targets": targets} if targets else {}
+        uncounted = f", so that no shot of {targets} counts" if targets else ""
         more = "".join(f"; {one}" for one in counted_towards(rows))
+        values: Values = {"shots": len(lost), "names": some(listed, NAMES_IN_LINE), **gone}
         with_few = count(len(lost), "shot")
         yield warned("too-few-points", values, lost=with_few, uncounted=uncounted, more=more)
 
@@ -321,7 +316,7 @@ def _zones_that_miss(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     rows = found.rows
     for member, shots in enumerate(rows.survey.shots):
         before = [
-            (item.station, item.points)
+            item
             for item in rows.counted(found.used)
             if item.mount == (SENSOR.name, member) and item.target[0] == PLANE.name
         ]
@@ -329,8 +324,8 @@ def _zones_that_miss(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             continue
         # Directions that come from one row of a file are equal to the last digit.
         zones, zone = np.unique(shots.across, axis=0, return_inverse=True)
-        seen = np.isin(shots.station, [station for station, _ in before])
-        kept = np.isin(np.arange(len(seen)), np.concatenate([points for _, points in before]))
+        seen = np.isin(shots.station, [item.station for item in before])
+        kept = np.isin(np.arange(len(seen)), np.concatenate([item.points for item in before]))
         read = np.bincount(zone.ravel(), seen, len(zones))
         fits = np.bincount(zone.ravel(), seen & kept, len(zones))
         miss = (read >= FEW_DEGREES) & (fits < (1.0 - MAJORITY) * read)
