@@ -17,7 +17,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.cli import main
 from handlaser_gtsam.cli.verbs import VERBS, examples_of
 from handlaser_gtsam.results.description.beams import CalibrationDescription
-from handlaser_gtsam.results.description.tables import PLAIN, Column, Table, text, text_table
+from handlaser_gtsam.results.description.tables import PLAIN, Cell, Column, Table, text_table
 from handlaser_gtsam.results.lines import as_many
 
 RECORDING = GRIPPER / "recording.csv"
@@ -135,8 +135,8 @@ def test_mounts_of_any_number_fit(calibration, width, count):
 def test_a_table_that_does_not_fit_stands_in_parts():
     columns = (Column("plane", number=False), *map(Column, ("b mm", "+- mm", "a long name")))
     rows = (
-        (text("A"), text("-583.809"), text("0.1553"), text("")),
-        (text("a plane with a long name"), text("1"), text("2"), text("x" * 20)),
+        (Cell("A"), Cell("-583.809"), Cell("0.1553"), Cell("")),
+        (Cell("a plane with a long name"), Cell("1"), Cell("2"), Cell("x" * 20)),
     )
     table = Table("planes", "", columns, rows)
     assert text_table(table, 30) == [

@@ -116,7 +116,7 @@ def test_words_hold_what_their_call_gives_and_each_is_used():
     from handlaser_gtsam.results.messages import MESSAGES
 
     package, given, tables = ROOT / "handlaser_gtsam", {"checks"}, set()
-    used = {"checks", "survey-checks"}  # one stands in others, one is a constant of its module
+    used = {"checks"}  # it stands in others
     folders = "results", "files", "session", "validation", "cli"
     paths = [path for folder in folders for path in (package / folder).rglob("*.py")]
     trees = {path: ast.parse(path.read_text()) for path in paths}

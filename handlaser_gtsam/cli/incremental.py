@@ -18,7 +18,7 @@ from ..pipeline import calibrate
 from ..progress import tell
 from ..quantities import IN_MM, IN_PERCENT, SAME_OPTIMUM
 from ..results.calibration import Calibration
-from ..results.description.tables import Cell, Column, Table, number, text
+from ..results.description.tables import Cell, Column, Table, number
 from ..results.messages import warned
 from ..results.survey import SurveyCalibration
 from ..session.reports import Comparison, Update
@@ -155,7 +155,7 @@ def _row(
     if sigma is not None:
         largest = IN_MM * float(sigma[:, :3].max()), float(np.degrees(sigma[:, 3:6].max()))
     sizes = number(information, 2), *(number(value, 4) for value in largest)
-    return text(name), *sizes, text(str(rejected or "")), text(remark)
+    return Cell(name), *sizes, Cell(str(rejected or "")), Cell(remark)
 
 
 def comparison_words(comparison: Comparison, what: str) -> tuple[str, str]:

@@ -77,14 +77,14 @@ def study(
 
 
 def _lines(summary: "DataFrame", warnings: "DataFrame") -> Iterator[str]:
-    from ..results.description.tables import Cell, Column, Table, significant, text, text_table
+    from ..results.description.tables import Cell, Column, Table, significant, text_table
     from .answer import columns
 
     words = "scene", "treatment"
     titles = tuple(Column(name, number=name not in words) for name in summary.columns)
 
     def shown(cell: object) -> Cell:
-        return significant(cell, 4) if isinstance(cell, float | None) else text(str(cell))
+        return significant(cell, 4) if isinstance(cell, float | None) else Cell(str(cell))
 
     rows = tuple(tuple(map(shown, row)) for row in summary.iter_rows())
     yield from text_table(Table("study", "", titles, rows), columns())

@@ -105,8 +105,8 @@ def validation_lines(result: "Validation", verdict: "Verdict", width: int) -> li
         every=pooled(result.predictions),
     )
     if isinstance(calibration, Calibration):
-        table = calibration.described(verdict).systematic
-        lines += [] if table is None else full_table("systematic errors", table, width)
+        tested = calibration.described(verdict).systematic
+        lines += full_table("systematic errors", tested, width)
     return lines + [f"WARNING: {warning}" for warning in calibration.warnings]
 
 

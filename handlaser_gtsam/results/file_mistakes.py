@@ -16,17 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import BoolArray, FloatArray
 from ..data.recording import Recording
+from ..data.screening import BY_CHANCE
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
 from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MAJORITY, MANY_OUTLIERS, MM, TINY
-from ..starts import Effort
 from .messages import MISTAKES, READ_AS, Values, said, warned
 from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits, one_beam, tells
 
 PROMISING = 9.0
 """Another reading of the file is solved in full where a quick look makes residuals smaller by this."""
-LEAST_REJECTED = 3
-"""Fewer rejected readings of one beam do not suggest that they are another beam's."""
 SHARES = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)
 """Parts of the way to the next station, or back to the one before, at which readings may be taken."""
 SPLITS = 9
@@ -42,6 +40,8 @@ the wrong one."""
 MOST_PAIRS = 40
 """Pairs of beams, times planes where these count, for which an exchange is tried: more would take
 longer than the calibration."""
+Mistakes = Callable[[Recording], Iterator[Rereading]]
+"""Yields mistakes of one kind that a recording may have."""
 GROUPS = 4
 """Groups of planes that are omitted in turn to find the one before which beams look swapped."""
 
@@ -66,25 +66,21 @@ def better_way(
     if not tells(recording):
         return None
 
-    def measure(changed: Recording, effort: Effort) -> float:
-        return misfit(changed, terms, effort)
-
-    if rejected is None:
-        rounds: list[list[Iterator[Rereading]]] = [
-            [
-                _promising(recording),
-                _swaps(recording),
-                _exchanged_from_a_station(recording),
-                _unit_changes(recording),
-            ],
-            [_mixed_labels(recording), _on_the_way(recording)],
+    measure = partial(misfit, terms=terms)
+    # Those that take long are tried only where the others explain nothing.
+    rounds: list[tuple[Mistakes, ...]] = [
+        (_promising, _swaps, _exchanged_from_a_station, _unit_changes),
+        (_mixed_labels, _on_the_way),
+    ]
+    if rejected is not None:
+        rounds = [
+            (partial(_exchanges, rejected=rejected), partial(_second_plates, rejected=rejected))
         ]
-    else:
-        rounds = [[_exchanges(recording, rejected), _second_plates(recording, rejected)]]
         if rejected.mean() > MANY_OUTLIERS:
-            rounds.append([_unit_changes(recording), _mixed_labels(recording)])
-    for mistakes in rounds:  # those that take long are tried only where the others explain nothing
-        without = misfits(recording, chain.from_iterable(mistakes), measure)
+            rounds.append((_unit_changes, _mixed_labels))
+    for kinds in rounds:
+        ways = chain.from_iterable(mistakes(recording) for mistakes in kinds)
+        without = misfits(recording, ways, measure)
         if not without:
             continue
         now, (best, way) = measure(recording, "normal"), without[0]
@@ -156,24 +152,16 @@ def _exchanges(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]
         lost_i, lost_j = rejected[:, i], rejected[:, j]
         both = lost_i & lost_j
         # Two stations at which both are lost, as one mistake of the file, or several of each.
-        if both.sum() < 2 and min(lost_i.sum(), lost_j.sum()) < LEAST_REJECTED:
+        if both.sum() < 2 and min(lost_i.sum(), lost_j.sum()) < BY_CHANCE:
             continue
         whole = np.isin(recording.plane_of_station, recording.plane_of_station[both])
-        first = number[lost_i | lost_j].min()
-        split = max(number, key=lambda s: abs(float((2.0 * lost_i - 2.0 * lost_j)[s:].sum())))
-        tried = {
-            rows.tobytes(): rows
-            for rows in (
-                both,
-                whole,
-                number >= first,
-                number < number[lost_i | lost_j].max() + 1,
-                number >= split,
-            )
-            if 0 < rows.sum() < len(number)
-        }
-        for rows in tried.values():
-            yield _exchange(recording, rows, i, j)
+        either = number[lost_i | lost_j]
+        later = (lost_i.astype(int) - lost_j)[::-1].cumsum()[::-1]
+        split = np.abs(later).argmax()
+        ways = both, whole, number >= either.min(), number <= either.max(), number >= split
+        for rows in {rows.tobytes(): rows for rows in ways}.values():
+            if 0 < rows.sum() < len(number):
+                yield _exchange(recording, rows, i, j)
 
 
 def _exchanged_from_a_station(recording: Recording) -> Iterator[Rereading]:
@@ -187,16 +175,12 @@ def _exchanged_from_a_station(recording: Recording) -> Iterator[Rereading]:
     ways = list(product(pairs, (count // 4, count // 2, 3 * count // 4)))
     if not ways:
         return
-    each = glances(recording, [partial(_exchanged, split=n, i=i, j=j) for (i, j), n in ways])
-    i, j = ways[int(each.argmin())][0]
-    split = _best_split(recording, partial(_exchanged, i=i, j=j))
+    number = np.arange(count)
+    changes = [partial(_swapped, rows=number >= n, i=i, j=j) for (i, j), n in ways]
+    i, j = ways[int(glances(recording, changes).argmin())][0]
+    split = _best_split(recording, partial(_swapped, i=i, j=j))
     if split is not None:
-        yield _exchange(recording, np.arange(count) >= split, i, j)
-
-
-def _exchanged(recording: Recording, split: int, i: int, j: int) -> Recording:
-    """Return a recording in which two beams are exchanged from a station on."""
-    return _swapped(recording, np.arange(len(recording.ranges)) >= split, i, j)
+        yield _exchange(recording, number >= split, i, j)
 
 
 def _exchange(recording: Recording, rows: BoolArray, i: int, j: int) -> Rereading:
@@ -223,12 +207,13 @@ def _second_plates(recording: Recording, rejected: BoolArray) -> Iterator[Reread
     lost: BoolArray = np.asarray((rejected | np.isnan(recording.ranges)).all(axis=1))
     labels, names = recording.plane_of_station, recording.plane_names
     every, gone = (np.bincount(some, minlength=len(names)) for some in (labels, labels[lost]))
-    for plane in np.flatnonzero((gone >= LEAST_REJECTED) & (gone < every)).tolist():
+    for plane in np.flatnonzero((gone >= BY_CHANCE) & (gone < every)).tolist():
         name, own = names[plane], np.flatnonzero(labels == plane)
         out = own[lost[own]]
         first = out[0] if out[-1] == own[-1] else own[np.searchsorted(own, out[-1]) + 1]
         values = {"plane": name, "station": recording.station_names[first]}
-        undone = partial(_relabelled, labels={name: f"{name}, later"}, split=int(first))
+        rows = np.arange(len(labels)) >= first
+        undone = partial(_relabelled, labels={name: f"{name}, later"}, rows=rows)
         yield Rereading(said("mistake:another-plane", **values), undone, "quick", values)
 
 
@@ -254,21 +239,16 @@ def _unit_changes(recording: Recording) -> Iterator[Rereading]:
     the positions.
     """
     ranges, names = np.abs(recording.ranges), recording.beam_names
-    typical = np.nanmedian(ranges, axis=0)
-    for i, name in enumerate(names if len(names) > 1 else ()):
-        ratio = float(typical[i] / max(np.median(np.delete(typical, i)), TINY))
-        what = f"the ranges of beam {name}"
+    typical, number = np.nanmedian(ranges, axis=0), np.arange(len(names))
+    beams = [(f"the ranges of beam {name}", number == i) for i, name in enumerate(names)]
+    beams = beams if len(names) > 1 else []
+    for what, own in beams:
+        ratio = float(typical[own][0] / max(np.median(typical[~own]), TINY))
         # A scale of all readings of a beam can be its k1, so that the fit does not tell units apart.
         for words, both, values in islice(_other_units(ratio, what, {"lengths": what}), 2):
-            times = np.where(np.arange(len(typical)) == i, *both)
+            times = np.where(own, *both)
             yield Rereading(words, partial(scaled, ranges=times), "quick", values)
-    beams = [("the ranges", np.ones(len(names), dtype=bool))]
-    if len(names) > 1:
-        beams += [
-            (f"the ranges of beam {name}", np.arange(len(names)) == i)
-            for i, name in enumerate(names)
-        ]
-    for what, own in beams:
+    for what, own in [("the ranges", number >= 0), *beams]:
         for words, factor, values in _changes_of(ranges[:, own], what, recording):
             whole = np.where(own, factor[:, None], 1.0)
             yield Rereading(words, partial(scaled, ranges=whole), "quick", values)
@@ -327,17 +307,17 @@ def _mixed_labels(recording: Recording) -> Iterator[Rereading]:
     A plane whose stations do not fit by themselves, while the stations of other planes do, holds
     stations of another plane.
     """
-    planes = range(len(recording.plane_names))
-    parts = [recording.part(recording.plane_of_station == p) for p in planes]
-    alone = [_glance(part) if tells(part) else None for part in parts]
-    whole = _glance(recording)
-    too_small = [p for p in planes if alone[p] is None]
-    mixed = [p for p in planes if (value := alone[p]) is not None and PROMISING * value > whole]
+    planes = recording.plane_of_station
+    parts = [recording.part(planes == p) for p in range(len(recording.plane_names))]
+    # NaN of planes that have too few readings to tell by themselves.
+    alone = np.array([_glance(part) if tells(part) else np.nan for part in parts])
+    doubtful = ~(PROMISING * alone <= _glance(recording))
+    mixed = np.flatnonzero(doubtful & ~np.isnan(alone)).tolist()
     if len(mixed) > 2:
         return
-    tried = [(*mixed,)] if mixed else []
-    if len(mixed) < 2:  # with a plane that has too few readings to tell by itself
-        others = [p for p in planes if p in {*mixed, *too_small}]
+    tried = [tuple[int, ...](mixed)] if mixed else []
+    if len(mixed) < 2:
+        others = np.flatnonzero(doubtful).tolist()
         pairs = [pair for pair in combinations(others, 2) if not mixed or mixed[0] in pair]
         # More pairs would take longer than the calibration, too.
         tried += pairs[:3]
@@ -350,10 +330,11 @@ def _mixed_labels(recording: Recording) -> Iterator[Rereading]:
         split = _best_split(part, undone)
         if split is None:
             continue
-        station, late = part.station_names[split], int(np.flatnonzero(rows)[split])
+        station = part.station_names[split]
+        late = np.arange(len(rows)) >= np.flatnonzero(rows)[split]
         values = {"plane": first, "other": other, "station": station}
         words = said(f"mistake:{'labels' if second else 'another-plane'}", **values)
-        yield Rereading(words, partial(undone, split=late), values=values)
+        yield Rereading(words, partial(undone, rows=late), values=values)
 
 
 def _on_the_way(recording: Recording) -> Iterator[Rereading]:
@@ -403,7 +384,7 @@ def _best_split(part: Recording, undone: Callable[..., Recording]) -> int | None
 
     def look(splits: Iterable[int]) -> None:
         new = [split for split in splits if 0 < split < count and split not in values]
-        changes = [partial(undone, split=split) for split in new]
+        changes = [partial(undone, rows=np.arange(count) >= split) for split in new]
         values.update(zip(new, glances(part, changes).tolist(), strict=True))
 
     look(sorted({int(s) for s in np.linspace(2, count - 2, SPLITS).round()}))
@@ -416,13 +397,11 @@ def _best_split(part: Recording, undone: Callable[..., Recording]) -> int | None
     return best if _glance(part) >= PROMISING * values[best] else None
 
 
-def _relabelled(recording: Recording, labels: dict[str, str], split: int) -> Recording:
-    """Return a recording in which planes have other labels from a station on."""
-    changed = (
-        labels.get(label, label) if m >= split else label
-        for m, label in enumerate(recording.plane_labels)
-    )
-    return replace(recording, plane_labels=tuple(changed))
+def _relabelled(recording: Recording, labels: dict[str, str], rows: BoolArray) -> Recording:
+    """Return a recording in which planes have other labels at some stations (M,)."""
+    pairs = zip(recording.plane_labels, rows.tolist(), strict=True)
+    changed = tuple(labels.get(label, label) if other else label for label, other in pairs)
+    return replace(recording, plane_labels=changed)
 
 
 def _inverted(recording: Recording) -> Recording:

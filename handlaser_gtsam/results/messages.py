@@ -40,10 +40,9 @@ def said(sentence: str, **words: float | str) -> str:
 
 def warned(message: str, values: Values | None = None, **words: float | str) -> CalibrationWarning:
     """Return one of the warnings, which keeps `values` and the numbers of its other words."""
-    words = {**(values or {}), **words}
-    kept = {
-        name: x for name, x in words.items() if name in (values or {}) or not isinstance(x, str)
-    }
+    values = values or {}
+    words = {**values, **words}
+    kept = {name: x for name, x in words.items() if name in values or not isinstance(x, str)}
     filled = _filled(MESSAGES["warnings"][message], words)
     return CalibrationWarning(message.partition(":")[0], filled, kept)
 

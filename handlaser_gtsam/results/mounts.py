@@ -1,7 +1,7 @@
 """Calibrated beams without the planes behind them: what a calibration leaves for later use."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -139,16 +139,14 @@ class Mounts(Value):
                 raise InputError(f"beam {shown(name)}", f"one of {', '.join(self.names)}")
         at = [self.names.index(name) for name in names]
         rows = np.concatenate([BEAM.size * i + np.arange(BEAM.size) for i in at])
-        return Mounts(
-            names,
-            self.locations[at],
-            self.directions[at],
-            self.range_errors[at],
-            tuple(self.terms[i] for i in at),
-            self.covariance[np.ix_(rows, rows)],
-            self.range_sigma,
-            self.pose_covariance,
-            self.dof,
+        return replace(
+            self,
+            names=names,
+            locations=self.locations[at],
+            directions=self.directions[at],
+            range_errors=self.range_errors[at],
+            terms=tuple(self.terms[i] for i in at),
+            covariance=self.covariance[np.ix_(rows, rows)],
         )
 
 

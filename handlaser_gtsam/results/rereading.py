@@ -90,7 +90,7 @@ def glances(recording: Recording, changes: Sequence[Change]) -> FloatArray:
     return found
 
 
-def misfit(recording: Recording, terms: int, effort: Effort, reach: float = np.inf) -> float:
+def misfit(recording: Recording, effort: Effort, terms: int, reach: float = np.inf) -> float:
     """Return the mean squared residual in parts of the variance of the readings: no unit matters.
 
     It is infinite where a beam lies farther from the hand's origin than `reach` [m]: readings in a

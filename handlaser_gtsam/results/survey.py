@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ..arrays import FloatArray
-from ..data.survey import RAY_ERRORS, Survey
+from ..data.survey import RAY_ERRORS, Shots, Survey
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.dense import unknowns_of
@@ -40,13 +40,12 @@ from ..model.joint import beam_lifts
 from ..model.sensor_limits import Rejected
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
-from ..observability.wording import open_sentence
 from .limits import Limits
 from .messages import said
 from .result import Result
 from .spots import radius, spot_of
 from .survey_misfit import FALSE_RELATION, MISREAD, NO_FIT
-from .survey_motion import counts_of, open_words, opening
+from .survey_motion import counts_of, leaves_open, open_words
 from .survey_verdict import survey_verdict
 from .survey_warnings import rejected_of, survey_warnings
 from .verdict import Verdict
@@ -361,10 +360,8 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         for i, label in enumerate(labels)
     }
     rejected = tuple(rejected_of(found))
-    turn, shift = found.noise.pose
     stated = bool((np.array(found.stated.pose) == 1.0).all())  # covariances of the poses
-    relations = found.tests
-    warnings = tuple(survey_warnings(found, sensors, beams, relations, rejected))
+    warnings = tuple(survey_warnings(found, sensors, beams))
     wrong = next((one.message for one in warnings if one.code in (NO_FIT, *MISREAD)), None)
     causes = {"range-error", DISPLACED} if restless else {DISPLACED}
     cause = next((one.message for one in warnings if one.code in causes), None)
@@ -373,7 +370,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     if wrong is not None:
         # What is undetermined means nothing where shots are read as what they are not.
         status, message = "contradicted", wrong
-    elif status != "converged" and any(one.contradicted for one in relations):
+    elif status != "converged" and any(one.contradicted for one in found.tests):
         # Labels and noise may be right, and rows do not fit because of the relation.
         status = "contradicted"
         message = next(one.message for one in warnings if one.code == FALSE_RELATION)
@@ -385,7 +382,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         information, axes, _ = _information(found)
         null = axes[:, information < least_information(information)]
         moving, advice = open_words(rows, estimate, null, found.images)
-        undetermined = (open_sentence(moving, advice, opening(*counts_of(rows), advice)),)
+        undetermined = (leaves_open(*counts_of(rows), moving, advice),)
         message = undetermined[0]
     return SurveyCalibration(
         status,
@@ -393,11 +390,11 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         sensors,
         beams,
         targets,
-        (math.nan, math.nan) if stated else (turn, shift),
+        (math.nan, math.nan) if stated else found.noise.pose,
         bool(np.isnan(found.stated.pose).any()),
         undetermined,
         advice,
-        relations,
+        found.tests,
         rejected,
         warnings,
         estimate.chi2,
@@ -433,7 +430,6 @@ def _sensor(found: SurveyEstimate, member: int, errors: Mapping[str, TestedEffec
     names = [n.removeprefix(first) for n in found.estimate.names if n.startswith(first)]
     kept = [i for i, name in enumerate(names) if name not in RAY_ERRORS or name in shots.free]
     C = own[np.ix_(kept, kept)]
-    reading = float(np.median(shots.reading))
     located = R @ C[3:6, 3:6] @ R.T
     if found.estimate.status == "undetermined" and np.isnan(located).any():
         # An undetermined direction of the hand has a part along each axis of the sensor.
@@ -447,12 +443,12 @@ def _sensor(found: SurveyEstimate, member: int, errors: Mapping[str, TestedEffec
         C,
         np.sqrt(np.diagonal(located)),
         float(found.noise.sigma[member]),
-        reading,
+        float(np.median(shots.reading)),
         rejected,
         shots.kind,
         R,
         {name: float(x[12 + RAY_ERRORS.index(name)]) for name in shots.free},
-        _spot_of(shots.kind, shots.across, reading),
+        _spot_of(shots),
         used,
         errors,
     )
@@ -464,11 +460,10 @@ def _information(found: SurveyEstimate) -> tuple[FloatArray, FloatArray, FloatAr
     return information_axes(problem, kept_blocks(problem, found.estimate), problem.start)
 
 
-def _spot_of(kind: str, across: FloatArray, reading: float) -> FloatArray:
-    """Return the spot of the ray in the middle, at a reading [m], in the frame of the sensor."""
-    middle = np.median(across, axis=0)[None]
-    rays = KINDS[kind].rays(middle)
-    return np.asarray(rays.origin[0] + reading * rays.direction[0])
+def _spot_of(shots: Shots) -> FloatArray:
+    """Return the spot of the ray in the middle, at the median reading, in the frame of the sensor."""
+    rays = KINDS[shots.kind].rays(np.median(shots.across, axis=0)[None])
+    return np.asarray(rays.origin[0] + np.median(shots.reading) * rays.direction[0])
 
 
 def _beam(found: SurveyEstimate, member: int) -> BeamMount:
@@ -555,8 +550,7 @@ def _effects(found: SurveyEstimate) -> dict[int, dict[str, TestedEffect]]:
     for (member, code), (tested, follows) in tested_columns(J[:, index], e, columns).items():
         if not np.isfinite(tested.sigma):
             continue  # it only moves the mount: nothing tells it, and nothing needs to
-        shots = found.rows.survey.shots[member]
-        spot = _spot_of(shots.kind, shots.across, float(np.median(shots.reading)))
+        spot = _spot_of(found.rows.survey.shots[member])
         turn = follows[own.place[SENSOR.name][member] + np.arange(6)]
         shift = float(np.linalg.norm(-skew(spot) @ turn[:3] + turn[3:]))
         if code == BOTH_AXES:

@@ -30,7 +30,6 @@ from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, DIRECTION, LOCATION, pose_of
 from ..model.sensors.mounted import SENSOR
 from ..observability.motion import PlaneMotion, motion_before
-from ..observability.wording import open_sentence
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
 from ..text import count
 from .survey_misfit import (
@@ -50,11 +49,11 @@ from .survey_motion import (
     CURE_OF_A_CIRCLE,
     MORE_STATIONS,
     counts_of,
+    leaves_open,
     open_words,
-    opening,
     unconfirmed_mount,
 )
-from .survey_warnings import many_rejected, rejected_of, unread_stations
+from .survey_warnings import many_rejected, unread_stations
 
 DOUBTS = (NO_FIT, *MISREAD, FALSE_RELATION)
 """Codes of warnings with which the motion is not judged: the gravest first."""
@@ -132,17 +131,14 @@ class SurveyCheck(Value):
         """What is undetermined, and what would determine it; empty where nothing is."""
         if not self.undetermined:
             return ""
-        why = opening(self.numbers, self.unknowns, self.advice)
-        return open_sentence(self.undetermined, self.advice, why)
+        return leaves_open(self.numbers, self.unknowns, self.undetermined, self.advice)
 
     @property
     def doubt(self) -> str | None:
         """What is wrong where shots do not fit each other, or not what is stated; None elsewhere."""
-        for code in DOUBTS:
-            for one in self.warnings:
-                if one.code == code:
-                    return one.message
-        return None
+        doubts = [one for one in self.warnings if one.code in DOUBTS]
+        gravest = min(doubts, key=lambda one: DOUBTS.index(one.code), default=None)
+        return None if gravest is None else gravest.message
 
 
 def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
@@ -176,14 +172,13 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     first = first_fit(state)
     if first.fits and not drawn:  # only as its mirror image
         state.draw_to_the_hand()
-    warnings = (*implausible(rows, state.values), *warnings)
     problem, _ = state.problem()
     information, axes, _ = information_axes(problem, problem.blocks, state.values)
     exact = information < NEGLIGIBLE**2 * information.max()
     weak = ~exact & (information < least_information(information))
     found = judged(problem, problem.blocks, dict(state.values))
     found, images = with_images(found, others)
-    warnings = (*mislabelled(state, found), *warnings)
+    warnings = (*mislabelled(state, found), *implausible(rows, state.values), *warnings)
     undetermined, advice = open_words(state.rows, found, axes[:, exact | weak], images)
     fits = first.fits
     # Whether relations hold, and which shots contradict the others, depends on the noise, which is
@@ -195,8 +190,8 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
             fits = fits or learned.fits
             warnings = (*warnings, *contradictions(learned.tests))
     if fits:
-        warnings = (*warnings, *many_rejected(settled, tuple(rejected_of(settled))))
-    if not fits:
+        warnings = (*warnings, *many_rejected(settled))
+    else:
         warnings = (no_fit(rows, first, causes, noise), *warnings)
     another = unconfirmed_mount(rows)
     if another and not undetermined:
@@ -262,16 +257,14 @@ def _targets(rows: SurveyRows) -> Iterator[PlaneMotion]:
 def check_lines(check: SurveyCheck) -> Iterator[str]:
     """Yield what a check says, a line a sensor and a target."""
     for one in check.sensors:
-        words = f"{one.kind} {one.name}: {one.shots} "
-        words += "readings" if one.kind == BEAM.name else "shots"
+        words = f"{one.kind} {one.name}: {one.shots} readings"
         if one.kind != BEAM.name:
-            words += f" of {one.points} points, {one.on_target} of them on their target"
+            words = f"{one.kind} {one.name}: {one.shots} shots of {one.points} points, "
+            words += f"{one.on_target} of them on their target"
         words += f", and {count(one.lost, 'shot')} with too few there" if one.lost else ""
         if np.isfinite(one.location_sigma):
-            sigmas = (
-                f"{one.location_sigma * IN_MM:.2g} mm and {one.rotation_sigma * IN_DEG:.2g} deg"
-            )
-            words += f"; to be known to {sigmas} (1 sigma)"
+            shift, turn = one.location_sigma * IN_MM, one.rotation_sigma * IN_DEG
+            words += f"; to be known to {shift:.2g} mm and {turn:.2g} deg (1 sigma)"
         yield words
     if any(np.isfinite(one.location_sigma) for one in check.sensors):
         yield f"these standard deviations follow from the noise: {', '.join(check.noise)}"

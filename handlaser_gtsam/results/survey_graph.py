@@ -7,6 +7,7 @@ errors in the weights of the readings instead, which is the same to first order.
 from collections import defaultdict
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..estimation.survey import SurveyEstimate
 from ..estimation.survey_rows import Item, blocks_of
@@ -33,14 +34,10 @@ def survey_graph(found: SurveyEstimate) -> BlockGraph:
     graph = graph_of_blocks([*blocks, *state.beside()], state.values, unknown)
     common = without_exact_axes(covariance, found.rows.length)
     own = state.own_covariance() + NEGLIGIBLE * common
-    stations_of: dict[int, list[int]] = defaultdict(list)
-    for station, stop in enumerate(found.rows.stops.tolist()):
-        stations_of[stop].append(station)
-    for stop, stations in stations_of.items():
-        keys = [graph.keys[POSE.name, station, 0] for station in stations]
-        C = np.kron(np.ones((len(keys), len(keys))), common[stop])
-        for i, station in enumerate(stations):
-            C[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += own[station]
+    for stop in np.unique(found.rows.stops).tolist():
+        stations = np.flatnonzero(found.rows.stops == stop)
+        keys = [graph.keys[POSE.name, station, 0] for station in stations.tolist()]
+        C = np.kron(np.ones((len(keys), len(keys))), common[stop]) + block_diag(*own[stations])
         recorded = [graph.values.atPose3(key) for key in keys]
         graph.graph.push_back(poses_of_stop(keys, recorded, C))
     return graph

@@ -11,6 +11,7 @@ survey, too. Cones are tried with other angles once all is solved.
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from difflib import get_close_matches
 from itertools import pairwise
@@ -52,25 +53,19 @@ from .lines import NAMES_IN_LINE
 from .messages import Values, said, warned
 from .warnings import DISPLACED, IMPLAUSIBLE
 
-CONVENTION = "convention"
-"""Code of the warning that an array reads in the other way."""
-KIND = "target-kind"
-"""Code of the warning that a target is of another kind than its label says."""
-LABEL = "misspelt-label"
-"""Code of the warning that few stations have a label of their own, and fit another target."""
 NO_FIT = "no-fit"
 """Code of the warning that most shots do not fit each other."""
-UNSURE_ANGLE = "half-angle-unsure"
-"""Code of the warning that readings of cones fit as well with another half angle."""
-HALF_ANGLE = "half-angle"
-"""Code of the warning that cones are wider, or narrower, than is stated."""
-BEHIND_ECHO = "behind-echo"
-"""Code of the warning that what an array reads behind a near echo does not fit what else it reads."""
-BESIDE_BALL = "beside-ball"
-"""Code of the warning that an array mostly reads something else where its rays meet a ball."""
 FALSE_RELATION = "relation-contradicted"
 """Code of the warning that readings contradict what is said to be known."""
-MISREAD = (CONVENTION, KIND, LABEL, HALF_ANGLE, BEHIND_ECHO, BESIDE_BALL, IMPLAUSIBLE)
+MISREAD = (
+    "convention",
+    "target-kind",
+    "misspelt-label",
+    "half-angle",
+    "behind-echo",
+    "beside-ball",
+    IMPLAUSIBLE,
+)
 """Codes of mistakes with which no result is usable, and no advice on the motion means anything."""
 PULLED = 2.0
 """Readings are pulled if their median is off by more standard deviations of one. Less is lost in the
@@ -83,8 +78,6 @@ MUCH_DEARER = 2.0
 noise of a fifth of what the two ways differ by, the wrong one costs ten times as much."""
 Cost = tuple[float, float, int]
 """What shots cost when they are read in one way: see `_squares`."""
-CHECKS = said("survey-checks")
-"""What to do where no cause is known."""
 
 
 def misread(rows: SurveyRows, noise: Noise) -> Iterator[CalibrationWarning]:
@@ -93,15 +86,15 @@ def misread(rows: SurveyRows, noise: Noise) -> Iterator[CalibrationWarning]:
     for shots in rows.survey.shots:
         better = better_convention(shots, labels)
         if better is not None:
-            yield warned(CONVENTION, {"sensor": shots.name, "better": better})
+            yield warned("convention", {"sensor": shots.name, "better": better})
     for label, better in better_kinds(rows.survey, noise).items():
         kind, _, name = label.partition(":")
         values = {"target": label, "kind": kind, "better": better}
         towards = "; ".join(counted_towards(rows)) if kind == SPHERE.name else ""
         if towards:
-            yield warned(f"{KIND}:towards", values, towards=towards)
+            yield warned("target-kind:towards", values, towards=towards)
         else:
-            yield warned(KIND, {**values, "label": f"{better}:{name}"})
+            yield warned("target-kind", {**values, "label": f"{better}:{name}"})
 
 
 def counted_towards(rows: SurveyRows) -> Iterator[str]:
@@ -150,11 +143,8 @@ def _misheard(
 
     def fitted(half_angle: float, beside: SurveyEstimate) -> tuple[SurveyEstimate, float]:
         other = replace(survey, half_angle=np.where(mine, half_angle, survey.cones))
-        try:
-            again = estimate_survey(other, noise, beside)
-        except InputError:  # no start with this angle
-            return beside, np.inf
-        if again.estimate.status not in ("converged", "contradicted"):
+        again = _again(other, noise, beside)
+        if again is None:
             return beside, np.inf
         squares = again.estimate.chi2 + FAR_SIGMAS**2 * float((~again.used).sum())
         return again, squares
@@ -184,13 +174,23 @@ def _misheard(
     variance = least / dof
     gain = (squares - least) / variance
     if better != stated and np.isfinite(gain) and f_sf(gain, 1, dof) < FAMILY_LEVEL / tries:
-        yield warned(HALF_ANGLE, {"half_angle": better}, stated=stated, of=of)
+        yield warned("half-angle", {"half_angle": better}, stated=stated, of=of)
         return
     alike = [(a, e) for a, s, e in others if s - squares <= FAR_SIGMAS**2 * variance]
     shifts = [(_shift_of_beams(at_stated, other), angle) for angle, other in alike]
     (times, shift), angle = max(shifts, default=((0.0, 0.0), stated))
     if times > 1.0:
-        yield warned(UNSURE_ANGLE, {"half_angle": angle, "shift_m": shift}, stated=stated, of=of)
+        yield warned(
+            "half-angle-unsure", {"half_angle": angle, "shift_m": shift}, stated=stated, of=of
+        )
+
+
+def _again(survey: Survey, noise: Noise, earlier: SurveyEstimate) -> SurveyEstimate | None:
+    """Return the estimate of a survey from where another ended; None where it ends in no minimum."""
+    with suppress(InputError):  # no start
+        found = estimate_survey(survey, noise, earlier)
+        return found if found.estimate.status in ("converged", "contradicted") else None
+    return None
 
 
 def _shift_of_beams(found: SurveyEstimate, other: SurveyEstimate) -> tuple[float, float]:
@@ -221,11 +221,8 @@ def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             continue
         changed = list(survey.shots)
         changed[member] = shots.clear_of(float(edges[-1]))
-        try:
-            clear = estimate_survey(replace(survey, shots=tuple(changed)), found.given, found)
-        except InputError:  # no start without these readings
-            continue
-        if clear.estimate.status not in ("converged", "contradicted"):
+        clear = _again(replace(survey, shots=tuple(changed)), found.given, found)
+        if clear is None:
             continue
         sigma, miss = float(clear.noise.sigma[member]), _misses(found.rows, clear, member)
         limit = 0.0
@@ -240,7 +237,7 @@ def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             short = -float(np.median(miss[(shots.before * IN_MM < limit) & np.isfinite(miss)]))
             values: Values = {"sensor": shots.name, "limit_mm": limit, "short_m": short}
             way = "short" if short > 0.0 else "long"
-            yield warned(BEHIND_ECHO, values, size=abs(short), way=way)
+            yield warned("behind-echo", values, size=abs(short), way=way)
 
 
 def beside_ball(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
@@ -252,7 +249,7 @@ def beside_ball(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     for member, shots in enumerate(found.rows.survey.shots):
         part = beside_balls(found.rows, found.values, member)
         if found.estimate.status == "converged" and part > MOST_LEFT_OUT:
-            yield warned(BESIDE_BALL, {"sensor": shots.name, "part": part})
+            yield warned("beside-ball", {"sensor": shots.name, "part": part})
 
 
 def _misses(rows: SurveyRows, clear: SurveyEstimate, member: int) -> FloatArray:
@@ -261,12 +258,11 @@ def _misses(rows: SurveyRows, clear: SurveyEstimate, member: int) -> FloatArray:
     NaN where the target is no plane, or not known to that estimate.
     """
     shots, labels = rows.survey.shots[member], rows.survey.stations.plane_labels
-    values = {name: x[None] for name, x in clear.estimate.values.items()}
     miss = np.full(len(shots.reading), np.nan)
     names = np.array([normal_label(label) for label in labels])[shots.station]
     for plane, label in enumerate(clear.rows.targets.get(PLANE.name, ())):
         some = np.flatnonzero(names == label)
-        miss[some] = misses_of(rows, values, member, (PLANE.name, plane), some)
+        miss[some] = misses_of(rows, clear.values, member, (PLANE.name, plane), some)
     return miss
 
 
@@ -274,19 +270,13 @@ def no_fit(
     rows: SurveyRows, fit: FirstFit, causes: Sequence[CalibrationWarning], given: Noise
 ) -> CalibrationWarning:
     """Say by how much shots miss their targets, in lengths and against the noise, and what to do."""
+    labels = dict.fromkeys(rows.survey.stations.plane_labels)
+    plain = [one for one in labels if ":" not in one]
+    names, have = some(plain, NAMES_IN_LINE), "has" if len(plain) == 1 else "have"
+    hints = {"kind": plain, "known": rows.known, "groove": "groove" in map(kind_of, labels)}
+    more = [said(f"survey-checks:{of}", names=names, have=have) for of in hints if hints[of]]
     known = [one.message for one in causes if one.code in (*MISREAD, DISPLACED)]
-    what = "; ".join(known) or CHECKS
-    plain = [one for one in dict.fromkeys(rows.survey.stations.plane_labels) if ":" not in one]
-    if what is CHECKS and plain:
-        what += (
-            f", which {some(plain, NAMES_IN_LINE)} {'has not' if len(plain) == 1 else 'have not'}: "
-        )
-        what += "a label without a kind is a plane, and of a ball it is sphere:NAME"
-    if what.startswith(CHECKS) and rows.known:
-        what += "; leave out [[known]] to see whether one of them is false"
-    if what.startswith(CHECKS) and "groove" in map(kind_of, rows.survey.stations.plane_labels):
-        what += "; the sides of a groove change places where its profile is turned by more than 90 "
-        what += "degrees about the line of sight: give such stations another label"
+    what = "; ".join(known) or "".join((said("survey-checks"), *more))
     noise = some(first_noise(rows, fit, given), NAMES_IN_LINE)
     values = {"misfit": fit.misfit, "distance_m": fit.distance}
     return warned(f"{NO_FIT}:shots", values, noise=noise, what=what, of=fit.of)
@@ -354,7 +344,9 @@ def mislabelled(state: SurveyState, found: Estimate) -> Iterator[CalibrationWarn
             label = rows.label(target)
             how = "a misspelt" if get_close_matches(label, [best]) else "another name of"
             values: Values = {"target": label, "other": best}
-            yield warned(LABEL, values, stations=count(stations[target], "station"), how=how)
+            yield warned(
+                "misspelt-label", values, stations=count(stations[target], "station"), how=how
+            )
 
 
 def implausible(rows: SurveyRows, values: Mapping[str, FloatArray]) -> Iterator[CalibrationWarning]:
@@ -456,26 +448,17 @@ def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
     each = defaultdict[str, dict[Entity, list[float]]](lambda: defaultdict(list))
     for item, misfit in zip(state.rows.items, state.misfits().tolist(), strict=True):
         each[labels[item.station]][item.mount].append(misfit)
-    flat = {
-        label
-        for label, (*_, radius) in zip(
-            state.rows.targets.get(SPHERE.name, ()),
-            state.values.get(SPHERE.name, np.empty((1, 0, 4)))[0].tolist(),
-            strict=True,
-        )
-        if radius > LARGEST_BALL * state.rows.length
-    }
-    return {
-        label: kind
-        for label, kind in suspects.items()
-        if renamed[label] not in flat
-        and label in each
-        and all(
-            np.median(own) < GROSS
-            for own in each[label].values()
-            if len(own) >= min(3, max(map(len, each[label].values())))
-        )
-    }
+    radii = state.values.get(SPHERE.name, np.empty((1, 0, SPHERE.size)))[0, :, -1].tolist()
+    balls = zip(state.rows.targets.get(SPHERE.name, ()), radii, strict=True)
+    flat = {label for label, radius in balls if radius > LARGEST_BALL * state.rows.length}
+    better = {}
+    for label, kind in suspects.items():
+        shots = each[label].values()
+        least = min(3, max(map(len, shots), default=0))
+        fits = [np.median(own) < GROSS for own in shots if len(own) >= least]
+        if fits and all(fits) and renamed[label] not in flat:
+            better[label] = kind
+    return better
 
 
 def _looks_other(sensors: Sequence[Shots], labels: Sequence[str], label: str) -> bool:

@@ -1,7 +1,8 @@
 """What a survey leaves undetermined, in words: by the kind of its motion, by circles, or one by one."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from typing import cast
 
 import numpy as np
 
@@ -15,9 +16,15 @@ from ..model.families import BEAM, DIRECTION, FAMILIES, PLANE, RANGE_ERROR, base
 from ..model.relation import BODY
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
-from ..model.targets.sphere import SPHERE
 from ..observability.motion import COUNTED_TURN, PoorMotion, named
-from ..observability.wording import MOUNTED, WORTH_A_WORD, Kind, OpenPart, vector_words
+from ..observability.wording import (
+    MOUNTED,
+    WORTH_A_WORD,
+    Kind,
+    OpenPart,
+    open_sentence,
+    vector_words,
+)
 from ..quantities import FAR_SIGMAS, IN_DEG, NEGLIGIBLE
 from ..text import some
 from .lines import NAMES_IN_LINE
@@ -111,23 +118,23 @@ def unconfirmed_mount(rows: SurveyRows) -> str:
     return "whether another mount fits as well" if numbers - largest < unknowns else ""
 
 
-def opening(numbers: int, unknowns: int, advice: Sequence[str]) -> str:
-    """Return how a sentence on what is undetermined begins: with the motion, or too few stations."""
-    if advice and advice[0] == MORE_STATIONS:
-        return f"too few stations, {numbers} numbers from shots for {unknowns} unknowns, leave open"
-    return "the motion leaves open"
+def leaves_open(
+    numbers: int, unknowns: int, undetermined: tuple[str, ...], advice: tuple[str, ...]
+) -> str:
+    """Return what the motion, or too few stations, leave open, and what determines it."""
+    if advice[:1] != (MORE_STATIONS,):
+        return open_sentence(undetermined, advice)
+    few = f"too few stations, {numbers} numbers from shots for {unknowns} unknowns, leave open"
+    return open_sentence(undetermined, advice, few)
 
 
 def _words_of_images(
     rows: SurveyRows, images: Mapping[tuple[str, int], float]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Say what has a mirror image in the plane of the motion, and what tells the two apart."""
-    names = {}
-    for family, member in images:
-        if family == SENSOR.name:
-            names[family, member] = f"flat sensor {rows.survey.shots[member].name}"
-        elif family == BEAM.name:
-            names[family, member] = f"beam {rows.survey.beam_names[member]}"
+    kinds = {SENSOR.name: "flat sensor", BEAM.name: "beam"}
+    mounts = [one for one in images if one[0] in kinds]
+    names = {one: f"{kinds[one[0]]} {_name_of(rows, *one)}" for one in mounts}
     image = "its mirror image in the plane of the motion fits as well"
     if not names and images:
         planes = some([_name_of(rows, *target) for target in images], 6)
@@ -203,39 +210,34 @@ def _parts(
             x = values[family][member]
             moved = np.zeros((FAMILIES[family].dim, null.shape[1]))
             moved[of.free[family]] = null[first + np.arange(len(of.free[family]))]
-            kind, name, quantities = _quantities(rows, family, member, x, moved)
-            for quantity, columns in quantities.items():
+            for quantity, columns in _quantities(family, x, moved).items():
                 axes, size, _ = np.linalg.svd(columns, full_matrices=False)
                 axes = axes[:, size > WORTH_A_WORD]
                 if axes.shape[1]:
-                    yield OpenPart(kind, name, quantity, axes)
+                    yield OpenPart(
+                        cast(Kind, family), _name_of(rows, family, member), quantity, axes
+                    )
 
 
-def _quantities(
-    rows: SurveyRows, family: str, member: int, x: FloatArray, moved: FloatArray
-) -> tuple[Kind, str, dict[str, FloatArray]]:
-    """Return kind and name of a variable, and what steps (dim, q) of it are, by quantity."""
+def _quantities(family: str, x: FloatArray, moved: FloatArray) -> dict[str, FloatArray]:
+    """Return what steps (dim, q) of a variable are, by quantity."""
     if family == SENSOR.name:
         R, _ = pose_of(x)
-        parts = {"location": R @ moved[3:6], "turn": R @ moved[:3], "range error": moved[6:]}
-        return "sensor", rows.survey.shots[member].name, parts
+        return {"location": R @ moved[3:6], "turn": R @ moved[:3], "range error": moved[6:]}
     if family == BEAM.name:
         direction = bases(x[3:6]) @ moved[3:5]
-        parts = {"location": moved[:3], "direction": direction, "range error": moved[5:]}
-        return "beam", rows.survey.beam_names[member], parts
+        return {"location": moved[:3], "direction": direction, "range error": moved[5:]}
     if family == PLANE.name:
-        parts = {"normal": bases(x[:3]) @ moved[:2], "offset": moved[2:]}
-        return "plane", _name_of(rows, family, member), parts
-    if family == BODY.name:
-        return "body", f"of {rows.bodies[member].of[0]}", {"place": moved}
-    kind: Kind = "sphere" if family == SPHERE.name else "point"
-    parts = {"place": moved[:3], "radius": moved[3:]}
-    return kind, _name_of(rows, family, member), parts
+        return {"normal": bases(x[:3]) @ moved[:2], "offset": moved[2:]}
+    return {"place": moved} if family == BODY.name else {"place": moved[:3], "radius": moved[3:]}
 
 
 def _name_of(rows: SurveyRows, family: str, member: int) -> str:
-    """Return the name of a target without its kind."""
-    return rows.label((family, member)).partition(":")[2]
+    """Return the name of a sensor, a beam or a body, or of a target without its kind."""
+    if family == BODY.name:
+        return f"of {rows.bodies[member].of[0]}"
+    name = rows.names(family)[member]
+    return name if family in (SENSOR.name, BEAM.name) else name.partition(":")[2]
 
 
 def _within_their_cones(rows: SurveyRows, found: Estimate) -> Iterator[str]:

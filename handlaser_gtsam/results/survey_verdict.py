@@ -8,14 +8,13 @@ largest share of the variance of the spot that is least certain.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import CalibrationWarning
 from ..estimation.estimate import covariance_along, information_axes
-from ..estimation.survey_trials import ALIKE, BOTH_AXES
 from ..quantities import IN_PERCENT
 from ..text import some
 from .limits import LimitCheck, Limits, sigmas_checked
@@ -71,8 +70,16 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
         for check in sigmas_checked(one.subject, one.largest_sigmas, one.largest_sigmas, limits)
     )
     failed = tuple(one for one in checks if not one.held)
-    harmful, excess = _most_harmful(result)
-    named = [one.message for one in _range_errors(result, harmful)]
+    # The range error found that moves the spot of its sensor most, in units of the 95 % radius there.
+    moves = [
+        (abs(error.size) * error.spot_shift / sensor.spot_error, sensor.name)
+        for sensor in result.sensors.values()
+        for error in sensor.errors.values()
+        if error.found
+    ]
+    excess, harmful = max(moves, key=lambda one: one[0], default=(0.0, ""))
+    errors = [one for one in result.warnings if one.code == "range-error"]
+    named = [one for one in errors if one.values["sensor"] == harmful]
     false = [one.message for one in result.warnings if one.code == FALSE_RELATION]
     unsure = [one.message for one in result.warnings if one.code == TOO_FEW]
     unsure += ambiguous(result.warnings)
@@ -81,29 +88,27 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     code = code_of(bool(false), harms, bool(unsure), bool(failed), bool(result.warnings))
     why = {
         "contradicted": false,
-        "systematic-error": named if moved is None else [moved.message],
+        "systematic-error": [one.message for one in (named if moved is None else [moved])],
         "undetermined": unsure,
         "outside-limits": [failures(checks)],
     }
-    first = next(iter(why.get(code, ())), "")
-    findings = [clause(first)] if first else []
+    findings = [clause(one) for one in why.get(code, [])[:1]]
     findings += [some(list(_located(result)), NAMES_IN_LINE)]
     if code == "usable-with-care":
-        findings.append(clause([*named, *(one.message for one in result.warnings)][0]))
-    best = _improvement(result, harmful, failed)
+        findings.append(clause([*named, *result.warnings][0].message))
+    best = _improvement(result, named, failed)
     if failed and code != "outside-limits":
         findings.append(failures(checks))
     if code in ("usable", "usable-with-care", "outside-limits"):
         findings.append(best.clause)
-    worst = result.mounts[_least_certain(result)]
-    known = math.isfinite(worst.spot_error)
+    worst = max(result.mounts, key=lambda one: one.spot_error)
     return Verdict(
         code,
         tuple(findings),
         best,
         worst.reading,
-        spot_beam=worst.name if known else "",
-        spot_error=worst.spot_error if known else None,
+        spot_beam=worst.name,
+        spot_error=worst.spot_error,
         limits=checks,
         causes=(*failures_of(checks), *result.warnings),
     )
@@ -133,67 +138,32 @@ def _of_no_calibration(result: "SurveyCalibration") -> Verdict:
 
 
 def _located(result: "SurveyCalibration") -> Iterator[str]:
-    """Say how well each sensor and beam is known: its spot, or where it is if its spot is open.
+    """Say how well the spot of each sensor and beam is known.
 
     With the range error that may move the spot of a sensor most unnoticed, by more than what is stated.
     """
     hidden = {sensor.subject: sensor.hidden for sensor in result.sensors.values()}
     for one in result.mounts:
-        if math.isfinite(one.spot_error):
-            code, moved = hidden.get(one.subject, ("", 0.0))
-            larger = moved > one.spot_error
-            only = said("verdict:random-only", code=code, moved=moved) if larger else ""
-            spot, at = one.spot_error, one.reading
-            yield said("verdict:mount", name=one.subject, spot=spot, at=at, only=only)
-        else:
-            yield said("verdict:located", name=one.subject, sigma=one.largest_sigmas[0])
-
-
-def _least_certain(result: "SurveyCalibration") -> int:
-    """Return the number of the mount whose spot is least certain."""
-    return int(np.argmax([one.spot_error for one in result.mounts]))
-
-
-def _most_harmful(result: "SurveyCalibration") -> tuple[tuple[str, str] | None, float]:
-    """Return the sensor and the code of the range error found that moves its spot most, and how far.
-
-    That is in units of the 95 % radius of the spot.
-    """
-    moved = {
-        (sensor.name, code): abs(error.size) * error.spot_shift / sensor.spot_error
-        for sensor in result.sensors.values()
-        for code, error in sensor.errors.items()
-        if error.found
-    }
-    worst = max(moved, key=lambda one: moved[one], default=None)
-    return worst, 0.0 if worst is None else moved[worst]
-
-
-def _range_errors(
-    result: "SurveyCalibration", harmful: tuple[str, str] | None
-) -> Iterator[CalibrationWarning]:
-    """Yield the warning of the range errors of the sensor whose spot one moves most."""
-    for one in result.warnings:
-        if one.code == "range-error" and harmful and one.values["sensor"] == harmful[0]:
-            yield one
-
-
-def free_of(code: str) -> str:
-    """Return what stands between the quotes of `free` to estimate a range error of a sensor."""
-    return '", "'.join(ALIKE) if code == BOTH_AXES else code
+        code, moved = hidden.get(one.subject, ("", 0.0))
+        spot, at = one.spot_error, one.reading
+        only = said("verdict:random-only", code=code, moved=moved) if moved > spot else ""
+        yield said("verdict:mount", name=one.subject, spot=spot, at=at, only=only)
 
 
 def _improvement(
-    result: "SurveyCalibration", harmful: tuple[str, str] | None, failed: tuple[LimitCheck, ...]
+    result: "SurveyCalibration", named: Sequence[CalibrationWarning], failed: tuple[LimitCheck, ...]
 ) -> Improvement:
-    """Return the one thing that would improve a converged calibration most."""
+    """Return the one thing that would improve a converged calibration most.
+
+    `named` are the warnings of range errors of the sensor whose spot one moves most.
+    """
     warnings = {one.code: one for one in reversed(result.warnings)}
     if FALSE_RELATION in warnings:
         return improvement_of(FALSE_RELATION)
     if DISPLACED in warnings:
         moved = warnings[DISPLACED].values
         return improvement_of(DISPLACED, target=moved["target"], station=moved["station"])
-    for one in _range_errors(result, harmful):
+    for one in named:
         return improvement_of("range-error", sensor=one.values["sensor"], free=one.values["free"])
     if any(ambiguous(result.warnings)):
         return improvement_of(RIVAL)
@@ -220,19 +190,14 @@ def _pose_share(result: "SurveyCalibration") -> float:
     The variance is homogeneous in the variances of the readings and of the hand poses, so that its
     logarithmic derivative by the latter is their share, as in `spots`.
     """
-    number = _least_certain(result)
-    if not math.isfinite(result.mounts[number].spot_error):
-        return 0.0
-    low, high = (_spot_variance(result, number, times) for times in (0.5, 2.0))
-    return math.log(high / low) / (2.0 * math.log(2.0)) if low > 0.0 else 0.0
-
-
-def _spot_variance(result: "SurveyCalibration", number: int, times: float) -> float:
-    """Return the trace of the covariance of a spot [m^2], for the pose variances times a factor."""
-    found, J = result._found, result.mounts[number].spot_by()
+    number, found = int(np.argmax([one.spot_error for one in result.mounts])), result._found
     family, member = list(found.rows.mounts)[number]
-    problem = found.problem(times)
-    axes = information_axes(problem, problem.blocks, problem.start)
-    # Range errors of a sensor stand after the unknowns of where it is.
-    first = int(problem.places().place[family][member])
-    return float(np.trace(covariance_along(axes, J, first)))
+    J, variances = result.mounts[number].spot_by(), []
+    for times in (0.5, 2.0):
+        problem = found.problem(times)
+        axes = information_axes(problem, problem.blocks, problem.start)
+        # Range errors of a sensor stand after the unknowns of where it is.
+        first = int(problem.places().place[family][member])
+        variances.append(float(np.trace(covariance_along(axes, J, first))))
+    low, high = variances
+    return math.log(high / low) / (2.0 * math.log(2.0)) if low > 0.0 else 0.0

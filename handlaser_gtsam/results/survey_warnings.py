@@ -7,6 +7,7 @@ survey then move to the ends that may fit as well.
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -20,11 +21,11 @@ from ..data.survey import normal_label
 from ..errors import CalibrationWarning
 from ..estimation.estimate import BlockProblem, descended, search_from
 from ..estimation.scales import ROTATION, TRANSLATION, NoiseComponent
-from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
+from ..estimation.survey import SurveyEstimate, usual_noise
 from ..estimation.survey_outliers import alike_by_zone
 from ..estimation.survey_rows import SurveyRows
 from ..estimation.survey_state import SurveyState
-from ..estimation.survey_trials import ALL_MOUNTS, displacement
+from ..estimation.survey_trials import ALIKE, ALL_MOUNTS, BOTH_AXES, displacement
 from ..model.distributions import (
     FEW_DEGREES,
     SINGLE_LEVEL,
@@ -37,7 +38,6 @@ from ..model.distributions import (
 )
 from ..model.families import (
     BEAM,
-    DIRECTION,
     OF_DIRECTION,
     OF_LOCATION,
     OF_RANGE_ERROR,
@@ -47,7 +47,6 @@ from ..model.families import (
 from ..model.sensor_limits import Rejected
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
-from ..observability.wording import open_sentence
 from ..quantities import FAR_SIGMAS, IN_MM, MAJORITY, MANY_OUTLIERS
 from ..starts.beam_minima import MINIMUM_READINGS, MINIMUM_STARTS
 from ..starts.directions import sphere
@@ -69,8 +68,8 @@ from .survey_misfit import (
     pulled,
     unconfirmed,
 )
-from .survey_motion import MORE_STATIONS, counts_of, opening, unconfirmed_mount
-from .survey_verdict import FEW, TOO_FEW, free_of
+from .survey_motion import MORE_STATIONS, counts_of, leaves_open, unconfirmed_mount
+from .survey_verdict import FEW, TOO_FEW
 from .warnings import (
     DISPLACED,
     RIVAL,
@@ -88,11 +87,9 @@ def survey_warnings(
     found: SurveyEstimate,
     sensors: "Mapping[str, SensorMount]",
     beams: "Mapping[str, BeamMount]",
-    relations: tuple[RelationTest, ...],
-    rejected: tuple[Rejected, ...],
 ) -> Iterator[CalibrationWarning]:
     """Yield the warnings of a survey, causes before what they make of the result."""
-    yield from contradictions(relations)
+    yield from contradictions(found.tests)
     heard = tuple(misheard(found))
     causes = (*misread(found.rows, found.given), *pulled(found), *beside_ball(found))
     causes += tuple(one for one in heard if one.code in MISREAD)
@@ -101,7 +98,7 @@ def survey_warnings(
     unread = tuple(unread_stations(found.rows))
     moved: tuple[CalibrationWarning, ...] = ()
     if found.estimate.status == "converged" or not (
-        causes or any(r.contradicted for r in relations)
+        causes or any(one.contradicted for one in found.tests)
     ):
         moved = tuple(_displaced(found, [*sensors.values(), *beams.values()]))
     if not found.fits:
@@ -113,7 +110,10 @@ def survey_warnings(
     gone = [one for one in unread if one.code == "no-edge" or "targets" in one.values]
     yield from gone  # a target of which no shot counts is missing in all that follows
     yield from _zones_that_miss(found)
-    yield from _zones_that_err(found)
+    for member, shots in enumerate(found.rows.survey.shots):
+        size, growth = alike_by_zone(found.rows, found.values, found.used, member)
+        if found.fits and growth > 1.0:  # which makes standard deviations larger
+            yield warned("zones-err", {"sensor": shots.name, "size": size})
     yield from _sigmas(found)
     if found.fits:
         if len(beams) > 1:
@@ -127,7 +127,7 @@ def survey_warnings(
         )
     yield from _too_few(found)
     yield from _few(found)
-    yield from rival_mounts(found)
+    yield from _rivals(found, beams)
     for sensor in sensors.values():
         errors = [(code, error) for code, error in sensor.errors.items() if error.found]
         if errors:
@@ -136,13 +136,14 @@ def survey_warnings(
             p = 2.0 * float(gaussian_sf(abs(first.size) / first.sigma))
             alike = " or ".join(other for other, _ in others)
             also = f"; an error {alike} would look much like it" if others else ""
-            free = free_of(code)
+            # What stands between the quotes of `free` to estimate it.
+            free = '", "'.join(ALIKE) if code == BOTH_AXES else code
             which = {"sensor": sensor.name, "code": code, "alike": alike, "free": free}
             sizes = {"size": first.size, "sigma": first.sigma, "p": p}
             yield warned("range-error", {**which, **sizes}, likely=p_words(p, 1), also=also)
     yield from moved
     if found.fits:  # else noise that was learned, or a wrong minimum, decides which they are
-        yield from many_rejected(found, rejected)
+        yield from many_rejected(found)
     yield from (one for one in unread if one not in gone)
     if found.by_pose is not None:
         yield from warnings_of(found.by_pose.sizes)
@@ -156,27 +157,25 @@ def _rough_beam(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     of the others by an F test.
     """
     rows, (e, left, owner) = found.rows, found.residuals()
-    own: dict[int, dict[str, FloatArray]] = {}
-    for (family, member), source in rows.sources.items():
-        if family == BEAM.name and np.isnan(found.stated.sigma[source]):
-            mount = family, member
+    own = defaultdict[int, dict[str, FloatArray]](dict)
+    for mount, source in rows.sources.items():
+        if mount[0] == BEAM.name and np.isnan(found.stated.sigma[source]):
             items = [i.mount == mount and i.target[0] != POINT.name for i in rows.items]
             of = np.isin(owner, np.flatnonzero(items))
-            squares = np.array([e[of] @ e[of], left[of].sum()])
-            own.setdefault(source, {})[rows.mounts[mount]] = squares
+            own[source][rows.mounts[mount]] = np.array([e[of] @ e[of], left[of].sum()])
     for source, beams in own.items():
         total = np.sum(list(beams.values()), axis=0)
         for name, (squares, dof) in beams.items():
             rest, rest_dof = total - beams[name]
             if not (min(dof, rest_dof) >= 1.0 and rest > 0.0):
                 continue
-            times = squares / dof / (rest / rest_dof)
-            p = float(f_sf(times, dof, rest_dof)) * len(rows.survey.beam_names)
+            variance, others = squares / dof, rest / rest_dof
+            p = float(f_sf(variance / others, dof, rest_dof)) * len(rows.survey.beam_names)
             if p < SINGLE_LEVEL:
-                sigma = found.noise.sigma[source] * np.sqrt(
-                    np.array([squares / dof, rest / rest_dof])
+                sigma, rough = (
+                    float(found.noise.sigma[source] * np.sqrt(x)) for x in (others, variance)
                 )
-                values: Values = {"beam": name, "sigma": float(sigma[0]), "others": float(sigma[1])}
+                values: Values = {"beam": name, "sigma": rough, "others": sigma}
                 yield warned("rough-beam", values, likely=p_words(p, 1))
 
 
@@ -197,11 +196,9 @@ def rejected_of(found: SurveyEstimate | SurveyState) -> Iterator[Rejected]:
         yield Rejected(names[at], mounts[SENSOR.name, member], label, reason)
 
 
-def many_rejected(
-    found: SurveyEstimate | SurveyState, rejected: Sequence[Rejected]
-) -> Iterator[CalibrationWarning]:
+def many_rejected(found: SurveyEstimate | SurveyState) -> Iterator[CalibrationWarning]:
     """Warn of many shots that contradict the others."""
-    out = [one for one in rejected if one.reason == "contradicted"]
+    out = [one for one in rejected_of(found) if one.reason == "contradicted"]
     total, beams = len(found.rows.items), found.rows.names(BEAM.name)
     if len(out) > MANY_OUTLIERS * total:
         names = some([rejected_shot(one, beams) for one in out], NAMES_IN_LINE)
@@ -230,13 +227,8 @@ def _displaced(found: SurveyEstimate, mounts: "Sequence[Mount]") -> Iterator[Cal
         "p": tried.p_value,
         "times": max(times),
     }
-    likely = p_words(tried.p_value, 1)
-    if of_all:
-        yield warned(f"{DISPLACED}:hand", values, likely=likely)
-    elif of_mount:
-        yield warned(f"{DISPLACED}:mount", values, likely=likely)
-    else:
-        yield warned(DISPLACED, values, likely=likely)
+    whose = ":hand" if of_all else ":mount" if of_mount else ""
+    yield warned(f"{DISPLACED}{whose}", values, likely=p_words(tried.p_value, 1))
 
 
 def rejected_shot(one: Rejected, beams: Container[str]) -> str:
@@ -258,13 +250,12 @@ def unread_stations(rows: SurveyRows) -> Iterator[CalibrationWarning]:
     unread = stations - len(read)
     labels = survey.stations.plane_labels
     if unread:
-        left: dict[str, int | str] = {"stations": unread, "total": stations}
         seen = {labels[at] for at in read}
         targets = some([one for one in dict.fromkeys(labels) if one not in seen], NAMES_IN_LINE)
-        if targets:
-            left["targets"] = targets
+        left = {"targets": targets} if targets else {}
         nothing = f"; nothing was read of {targets}" if targets else ""
-        yield warned("stations-left-out", left, nothing=nothing)
+        counts = {"stations": unread, "total": stations}
+        yield warned("stations-left-out", {**counts, **left}, nothing=nothing)
     edgeless = rows.edgeless
     for label in edgeless:
         shots = sum(labels[at] == label for _, at in rows.lost)
@@ -272,17 +263,14 @@ def unread_stations(rows: SurveyRows) -> Iterator[CalibrationWarning]:
         yield warned("no-edge", {"target": label, "shots": shots, "label": plane})
     lost = [(member, at) for member, at in rows.lost if labels[at] not in edgeless]
     if lost:
-        listed = [
-            f"sensor {survey.shots[member].name} at station {names[at]}" for member, at in lost
-        ]
-        values: Values = {"shots": len(lost), "names": some(listed, NAMES_IN_LINE)}
+        listed = [f"sensor {survey.shots[i].name} at station {names[at]}" for i, at in lost]
         counted = {normal_label(labels[item.station]) for item in rows.items}
         lost_labels = dict.fromkeys(normal_label(labels[at]) for _, at in lost)
-        gone = [label for label in lost_labels if label not in counted]
-        if gone:
-            values = {**values, "targets": some(gone, NAMES_IN_LINE)}
-        uncounted = f", so that no shot of {values['targets']} counts" if gone else ""
+        targets = some([one for one in lost_labels if one not in counted], NAMES_IN_LINE)
+        gone = {"targets": targets} if targets else {}
+        uncounted = f", so that no shot of {targets} counts" if targets else ""
         more = "".join(f"; {one}" for one in counted_towards(rows))
+        values: Values = {"shots": len(lost), "names": some(listed, NAMES_IN_LINE), **gone}
         with_few = count(len(lost), "shot")
         yield warned("too-few-points", values, lost=with_few, uncounted=uncounted, more=more)
 
@@ -310,12 +298,9 @@ def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     another = unconfirmed_mount(rows)
     if another:
         numbers, every = counts_of(rows)
-        sentence = open_sentence(
-            (another,), (MORE_STATIONS,), opening(numbers, every, (MORE_STATIONS,))
-        )
-        yield warned(
-            f"{TOO_FEW}:survey", {"numbers": numbers, "unknowns": every}, sentence=sentence
-        )
+        sentence = leaves_open(numbers, every, (another,), (MORE_STATIONS,))
+        counts = {"numbers": numbers, "unknowns": every}
+        yield warned(f"{TOO_FEW}:survey", counts, sentence=sentence)
     related = {entity for known in rows.known for entity in rows.entities(known)}
     for member, name in enumerate(rows.survey.beam_names):
         mount = BEAM.name, member
@@ -331,7 +316,7 @@ def _zones_that_miss(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     rows = found.rows
     for member, shots in enumerate(rows.survey.shots):
         before = [
-            (item.station, item.points)
+            item
             for item in rows.counted(found.used)
             if item.mount == (SENSOR.name, member) and item.target[0] == PLANE.name
         ]
@@ -339,8 +324,8 @@ def _zones_that_miss(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             continue
         # Directions that come from one row of a file are equal to the last digit.
         zones, zone = np.unique(shots.across, axis=0, return_inverse=True)
-        seen = np.isin(shots.station, [station for station, _ in before])
-        kept = np.isin(np.arange(len(seen)), np.concatenate([points for _, points in before]))
+        seen = np.isin(shots.station, [item.station for item in before])
+        kept = np.isin(np.arange(len(seen)), np.concatenate([item.points for item in before]))
         read = np.bincount(zone.ravel(), seen, len(zones))
         fits = np.bincount(zone.ravel(), seen & kept, len(zones))
         miss = (read >= FEW_DEGREES) & (fits < (1.0 - MAJORITY) * read)
@@ -349,15 +334,6 @@ def _zones_that_miss(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             names = some([f"({x:.3g}, {y:.3g})" for x, y in at.tolist()], 4)
             values: Values = {"sensor": shots.name, "zones": int(miss.sum())}
             yield warned("zones-miss", values, names=names, count=count(int(miss.sum()), "zone"))
-
-
-def _zones_that_err(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
-    """Warn of arrays whose zones have errors of their own, which make standard deviations larger."""
-    for member, shots in enumerate(found.rows.survey.shots):
-        size, growth = alike_by_zone(found.rows, found.values, found.used, member)
-        if found.fits and growth > 1.0:
-            values: Values = {"sensor": shots.name, "size": size}
-            yield warned("zones-err", values)
 
 
 def _contradicted(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
@@ -390,22 +366,15 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         if not shots.sigma or not many:
             continue
         inside = math.sqrt(sum(shot.squares for shot in own) / many)
-        square = many * (inside / shots.sigma) ** 2
-        smaller = inside < shots.sigma
-        p = float((chi2_cdf if smaller else chi2_sf)(square, many))
+        times = inside / shots.sigma
+        how, chance = ("large", chi2_cdf) if times < 1.0 else ("small", chi2_sf)
+        p = float(chance(many * times**2, many))
         # Points tell a sigma to a per cent; data sheets do not state it better than by such a
         # factor.
-        if p < SINGLE_LEVEL and max(inside / shots.sigma, shots.sigma / inside) > 1.5:
-            how, stated = "large" if smaller else "small", shots.sigma
-            times = inside / shots.sigma
-            values: Values = {
-                "sensor": shots.name,
-                "sigma_mm": inside * IN_MM,
-                "stated_mm": stated * IN_MM,
-                "times": times,
-                "p": p,
-            }
-            yield warned(f"sigmas-too-{how}:shots", values)
+        if p < SINGLE_LEVEL and max(times, 1.0 / times) > 1.5:
+            sizes = {"sigma_mm": inside * IN_MM, "stated_mm": shots.sigma * IN_MM}
+            found_so: Values = {"sensor": shots.name, **sizes, "times": times, "p": p}
+            yield warned(f"sigmas-too-{how}:shots", found_so)
             return
     yield from _contradicted(found)
     chi2, dof = found.estimate.chi2, found.estimate.dof
@@ -421,7 +390,9 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             yield warned(f"sigmas-too-{how}:survey", values, likely=p_words(p, 1))
 
 
-def rival_mounts(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+def _rivals(
+    found: SurveyEstimate, beams: "Mapping[str, BeamMount]"
+) -> Iterator[CalibrationWarning]:
     """Warn of mounts of beams that are nearly as probable, and not within what is stated.
 
     At most one of each beam.
@@ -429,16 +400,15 @@ def rival_mounts(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     if found.estimate.status != "converged":
         return
     state = found.ended()
-    for member, name in enumerate(found.rows.survey.beam_names):
-        turn = found.estimate.marginal(BEAM.name, member)[DIRECTION, DIRECTION]
-        if not np.isfinite(turn).all():
+    for member, (name, beam) in enumerate(beams.items()):
+        if not math.isfinite(beam.direction_sigma):
             continue
         v = state.values[BEAM.name][0, member, OF_DIRECTION]
-        far = max(FAR_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(turn)[-1])), SAME_DIRECTION)
+        far = max(FAR_SIGMAS * beam.direction_sigma, SAME_DIRECTION)
         for mount in _minima(state, member):
-            beams = state.values[BEAM.name].copy()
-            beams[0, member] = mount
-            problem, _ = replace(state, values={**state.values, BEAM.name: beams}).problem()
+            moved = state.values[BEAM.name].copy()
+            moved[0, member] = mount
+            problem, _ = replace(state, values={**state.values, BEAM.name: moved}).problem()
             there = descended(problem, problem.blocks, problem.start, LAST_STEPS)
             if there is None:
                 continue

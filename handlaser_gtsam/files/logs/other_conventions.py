@@ -163,7 +163,7 @@ def accused(
 
 def _better(part: Recording, others: Sequence[Rereading]) -> tuple[float, str] | None:
     """Return by what squared factor another convention fits better, and which; None where none does."""
-    for measure in (_at_a_glance, _robustly):
+    for measure in (partial(misfit, terms=RANGE_ERROR_TERMS["auto"]), _robustly):
         try:
             now = measure(part, "glance")
         except HandlaserError:
@@ -175,10 +175,6 @@ def _better(part: Recording, others: Sequence[Rereading]) -> tuple[float, str] |
             if best <= min(now / BETTER, POOR_START**2):
                 return now / best, way.words
     return None
-
-
-def _at_a_glance(recording: Recording, effort: Effort, reach: float = np.inf) -> float:
-    return misfit(recording, RANGE_ERROR_TERMS["auto"], effort, reach)
 
 
 def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> float:

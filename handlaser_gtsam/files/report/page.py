@@ -44,7 +44,6 @@ from ...results.description.tables import (
     sentence,
     significant,
     table_of,
-    text,
 )
 from ...results.lines import NAMES_ON_PAGE
 from ...text import count, printable, some
@@ -343,7 +342,7 @@ def _plan_table(subject: Subject) -> Table | None:
     quaternions = Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True)
     rows = tuple(
         (
-            text(stations.plane_labels[j]),
+            Cell(stations.plane_labels[j]),
             *(number(x * IN_MM, 1) for x in stations.world_t_hand[j].tolist()),
             *(number(x, 4) for x in quaternions[j].tolist()),
         )

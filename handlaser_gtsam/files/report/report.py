@@ -57,5 +57,5 @@ def report_text(calibration: "Calibration | SurveyCalibration", options: ReportO
         return survey_report(calibration, options)
     subject = subject_of(calibration, options)
     sections, figures, result = content_of(subject)
-    title = f"{subject.opening} · {title_of(options)}"
+    title = f"{subject.verdict.opening} · {title_of(options)}"
     return page_of(title, sections, figures, result=result, script=script_of("page.js"))

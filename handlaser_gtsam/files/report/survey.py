@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ... import __version__
 from ...results.description.survey import facts, targets_table
-from ...results.description.tables import listed, name_cell, text
+from ...results.description.tables import Cell, listed, name_cell
 from ...results.survey import SurveyCalibration
 from ...results.verdict import Verdict
 from .figure import STYLE, Figure
@@ -80,7 +80,7 @@ def survey_content(
             result.rejected,
             lambda one: (
                 *map(name_cell, (one.sensor, one.station, one.target)),
-                text(one.reason),
+                Cell(one.reason),
             ),
             "shot",
         ),
@@ -88,4 +88,4 @@ def survey_content(
         "figures": figures,
         "on_targets": [(target, figure.name) for target, figure in on],
     }
-    return shown.opening, sections_of("survey.html.j2", SECTIONS, values), figures
+    return verdict.opening, sections_of("survey.html.j2", SECTIONS, values), figures

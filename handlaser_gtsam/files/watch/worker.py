@@ -154,7 +154,7 @@ class Calibrator:
         options = replace(self._watched.options, sensor=rig.sensor)
         calibration = calibrate(report.recording, rig.noise, options)
         subject = subject_of(calibration, ReportOptions(rig, self._watched.reading))
-        return messages_of(subject.opening, *content_of(subject))
+        return messages_of(subject.verdict.opening, *content_of(subject))
 
     def _of_survey(self, survey: Survey, rig: Rig) -> Mapping[str, str]:
         plain = CalibrationOptions(sensor=self._watched.options.sensor)

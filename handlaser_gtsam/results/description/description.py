@@ -33,16 +33,6 @@ class Description(ABC):
         return self.calibration.success
 
     @property
-    def opening(self) -> str:
-        """The verdict in a few words."""
-        return self.verdict.opening
-
-    @property
-    def mark(self) -> str:
-        """The colour of the verdict: `good`, `care` or `bad`."""
-        return self.verdict.mark
-
-    @property
     def findings(self) -> tuple[str, ...]:
         """The reasons of the verdict, as sentences."""
         return tuple(map(sentence, self.verdict.findings))

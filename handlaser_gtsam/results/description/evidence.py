@@ -31,7 +31,6 @@ from .tables import (
     sentence,
     significant,
     table_of,
-    text,
 )
 
 if TYPE_CHECKING:
@@ -149,18 +148,17 @@ def correlations_table(described: "CalibrationDescription") -> Table | None:
     if calibration.covariance is None or not described.solved:
         return None
     pairs = calibration.correlations
-    table = listed(
+    return listed(
         "correlations",
         pairs,
         lambda pair: (
-            text(str(pair.first)),
-            text(str(pair.second)),
+            Cell(str(pair.first)),
+            Cell(str(pair.second)),
             number(pair.coefficient, 3, "care"),
         ),
         "pair",
+        f"{count(len(pairs), 'pair')} above {STRONG}.",
     )
-    note = f"{count(len(pairs), 'pair')} above {STRONG}. {table.note}"
-    return table._replace(note=note.rstrip())
 
 
 def systematic_table(described: "CalibrationDescription") -> Table | None:
@@ -179,7 +177,7 @@ def _systematic(error: SystematicError, reading: float) -> tuple[Cell, ...]:
             state = Cell("explained", 2.0, "care")
     if error.confounded:
         state = Cell("cannot be told", 1.0)
-    name = text(error.code)
+    name = Cell(error.code)
     if error.confounded and not math.isfinite(error.plausible):
         return name, state, *[Cell(NONE)] * 3
     size = error.size if error.found else error.unnoticed
@@ -212,7 +210,7 @@ def rejected_table(described: "CalibrationDescription") -> Table | None:
         lambda reading: (
             name_cell(reading.station),
             name_cell(reading.sensor),
-            text(reading.reason),
+            Cell(reading.reason),
             significant(None if reading.residual is None else reading.residual * IN_MM),
         ),
         "reading",

@@ -21,7 +21,6 @@ from .tables import (
     Table,
     concise,
     coordinates,
-    determined,
     digits_of,
     listed,
     more,
@@ -30,18 +29,17 @@ from .tables import (
     plain,
     significant,
     table_of,
-    text,
 )
 
 if TYPE_CHECKING:
     from .beams import CalibrationDescription
 
-NUMBERS, K1 = range(BEAM.size), OF_RANGE_ERROR.start
+K1: int = OF_RANGE_ERROR.start
 PARTS = {
-    "location": (NUMBERS[OF_LOCATION], "mm", IN_MM, 5),
-    "direction": (NUMBERS[OF_DIRECTION], "1", 1.0, 7),
-    "slope": (NUMBERS[K1 : K1 + 1], "1", 1.0, 7),
-    "curvature": (NUMBERS[K1 + 1 :], "1/m", 1.0, 5),
+    "location": (OF_LOCATION, "mm", IN_MM, 5),
+    "direction": (OF_DIRECTION, "1", 1.0, 7),
+    "slope": (slice(K1, K1 + 1), "1", 1.0, 7),
+    "curvature": (slice(K1 + 1, BEAM.size), "1/m", 1.0, 5),
 }
 """The coordinates of each part of a mount, the unit in which they are shown, that unit per SI unit, and
 their decimals at most: no sensor shows what is smaller."""
@@ -67,18 +65,11 @@ def _beam_row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     sigma = np.full(BEAM.size, np.inf) if beam.sigma is None else beam.sigma
     turn = math.inf if beam.direction_sigma is None else beam.direction_sigma
     location, direction = (
-        coordinates(
-            beam.coordinates[list(at)] * scale,
-            sigma[list(at)],
-            digits_of((sigma[list(at)] * scale).tolist(), most),
-        )
+        coordinates(beam.coordinates[at] * scale, sigma[at], digits_of(sigma[at] * scale, most))
         for at, _, scale, most in (PARTS["location"], PARTS["direction"])
     )
-    k, known = beam.range_error.tolist(), sigma[6:].tolist()
-    errors = [
-        _concise(k[term], known[term], most) if term < beam.terms else Cell("0", 0.0)
-        for term, most in enumerate((4, 3))
-    ]
+    k = zip(beam.range_error.tolist(), sigma[6:].tolist(), (4, 3), strict=True)
+    errors = [_concise(*of) for of in k][: beam.terms] + [Cell("0", 0.0)] * (2 - beam.terms)
     return (
         name_cell(beam.name),
         *location,
@@ -113,22 +104,21 @@ def _parameters(described: "CalibrationDescription", beam: Beam) -> Iterator[tup
     sigma = np.full(BEAM.size, np.inf) if beam.sigma is None else beam.sigma
     interval = calibration.intervals(beam.name)
     interval = np.full((8, 2), np.nan) if interval is None else interval
-    for part, (numbers, unit_name, scale, most) in PARTS.items():
-        digits = digits_of((sigma[list(numbers)] * scale).tolist(), most)
-        unit = text(unit_name)
-        for i in numbers[: max(6 + beam.terms - numbers.start, 0)]:
-            name = text(BEAM.labels[i])
+    for part, (at, unit_name, scale, most) in PARTS.items():
+        digits, unit = digits_of(sigma[at] * scale, most), Cell(unit_name)
+        for i in range(at.start, min(at.stop, K1 + beam.terms)):
+            name = Cell(BEAM.labels[i])
             if not math.isfinite(sigma[i]):
                 blank = (Cell(UNDETERMINED, None, "care"), *[Cell(NONE)] * 3)
-                yield text(beam.name), name, *blank, unit
+                yield Cell(beam.name), name, *blank, unit
                 continue
             values = (beam.coordinates[i], sigma[i], *interval[i])
-            yield text(beam.name), name, *(number(x * scale, digits) for x in values), unit
+            yield Cell(beam.name), name, *(number(x * scale, digits) for x in values), unit
         turn = beam.direction_sigma
         if part == "direction" and turn is not None and math.isfinite(turn):
             dash, angle = Cell(NONE), significant(turn * IN_DEG, 2)
-            words = text("direction, angle")
-            yield text(beam.name), words, dash, angle, dash, dash, text("deg")
+            words = Cell("direction, angle")
+            yield Cell(beam.name), words, dash, angle, dash, dash, Cell("deg")
 
 
 def spots_table(described: "CalibrationDescription") -> Table | None:
@@ -144,14 +134,12 @@ def spots_table(described: "CalibrationDescription") -> Table | None:
         cells = [significant(x * IN_MM, 2) for x in numbers]
         return name_cell(name), *cells, significant(found.direction_sigma * IN_DEG, 2)
 
-    table = listed("spots", list(radii), row, "beam", at=concise(reading * IN_MM, 4))
-    measured = typical_plane(calibration)
-    if measured is None:
-        return table
-    station, plane = measured
-    far, turn = concise(plane.distance_sigma * IN_MM), concise(plane.angle_sigma * IN_DEG)
-    note = said("table:spots:plane", station=station, distance=far, angle=turn)
-    return table._replace(note=f"{note} {table.note}".rstrip())
+    measured, note = typical_plane(calibration), ""
+    if measured is not None:
+        station, plane = measured
+        far, turn = concise(plane.distance_sigma * IN_MM), concise(plane.angle_sigma * IN_DEG)
+        note = said("table:spots:plane", station=station, distance=far, angle=turn)
+    return listed("spots", list(radii), row, "beam", note, at=concise(reading * IN_MM, 4))
 
 
 def planes_table(described: "CalibrationDescription") -> Table | None:
@@ -168,8 +156,9 @@ def _plane_row(plane: Plane) -> tuple[Cell, ...]:
     turn = math.inf if turn is None else turn
     digits = digits_of([turn], 7)
     n = coordinates(plane.normal, sigma[:3], digits, UNDETERMINED)
-    offset = determined(plane.offset * IN_MM, shift, digits_of([shift * IN_MM], 4))
-    row = (*n, significant(turn * IN_DEG, 2), offset)
+    at, digits = np.array([plane.offset * IN_MM]), digits_of([shift * IN_MM], 4)
+    offset = coordinates(at, sigma[3:], digits, UNDETERMINED)
+    row = (*n, significant(turn * IN_DEG, 2), *offset)
     return name_cell(plane.name), *row, significant(shift * IN_MM, 2)
 
 
@@ -188,6 +177,6 @@ def limits_table(described: "CalibrationDescription") -> Table | None:
         words = one.name.replace("sigma", "std dev")
         state = Cell("pass", 0.0, "good") if one.held else Cell("fail", 1.0, "bad")
         value, limit = significant(one.value * scale), significant(one.limit * scale)
-        return text(words), text(one.subject or "all"), value, limit, text(unit), state
+        return Cell(words), Cell(one.subject or "all"), value, limit, Cell(unit), state
 
     return listed("limits", checks, row, "limit")

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
-from ...data.survey import RAY_ERRORS
 from ...estimation.survey_trials import BOTH_AXES
 from ...model.distributions import p_words
 from ...model.families import BEAM, RANGE_ERROR
@@ -30,7 +29,6 @@ from .tables import (
     listed,
     name_cell,
     significant,
-    text,
     text_lines,
 )
 
@@ -41,10 +39,9 @@ SHOWN = {1: ("mm", IN_MM), 0: ("%", IN_PERCENT), -1: ("%/m", IN_PERCENT)}
 """Units of range errors for people, with the factor from SI, by the power of the metre."""
 UNITS = {
     name: SHOWN[power]
-    for name, power in zip(SENSOR.coordinates, SENSOR.powers, strict=True)
-    if name in RAY_ERRORS
-} | {BOTH_AXES: SHOWN[0]}
-"""The same by range error, and of both axes at once."""
+    for name, power in (*zip(SENSOR.coordinates, SENSOR.powers, strict=True), (BOTH_AXES, 0))
+}
+"""The same by coordinate of a sensor, and of both axes at once."""
 
 
 class SurveyDescription(Description):
@@ -89,11 +86,16 @@ class SurveyDescription(Description):
 
 def _sensor_row(sensor: "SensorMount") -> tuple[Cell, ...]:
     """Return location and Euler angles of a sensor with the sigmas of both, its spot and its shots."""
-    angles = Rotation.from_matrix(sensor.rotation).as_euler("ZYX", degrees=True)
-    digits = _digits(sensor.largest_sigmas[1] * IN_DEG)
+    angles, digits = _angles(sensor)
     care = "care" if sensor.rejected else ""
     rejected = Cell(str(sensor.rejected), sensor.rejected, care)
     return *_mount_row(sensor, angles, digits, sensor.shots), rejected
+
+
+def _angles(sensor: "SensorMount") -> tuple[FloatArray, int]:
+    """Return the Euler angles of a sensor (3,) [deg], and their decimals."""
+    angles = Rotation.from_matrix(sensor.rotation).as_euler("ZYX", degrees=True)
+    return angles, _digits(sensor.largest_sigmas[1] * IN_DEG)
 
 
 def _beam_row(beam: "BeamMount") -> tuple[Cell, ...]:
@@ -115,8 +117,7 @@ def _mount_row(mount: "Mount", turned: FloatArray, digits: int, read: int) -> tu
 
 def _located(location: FloatArray, sigma: FloatArray) -> tuple[Cell, ...]:
     """Return cells of a location, dashes for what is open, and the largest sigma of the rest."""
-    known = np.isfinite(sigma)
-    largest = float(sigma[known].max()) if known.any() else math.nan
+    largest = max(sigma[np.isfinite(sigma)].tolist(), default=math.nan)
     digits = _digits(largest * IN_MM)
     place = coordinates(location * IN_MM, sigma, digits)
     return *place, significant(largest * IN_MM, 2)
@@ -125,10 +126,6 @@ def _located(location: FloatArray, sigma: FloatArray) -> tuple[Cell, ...]:
 def _digits(sigma: float) -> int:
     """Return the decimals of a number [mm] or [deg]: few where it is undetermined."""
     return decimals(sigma, 4) if math.isfinite(sigma) else 1
-
-
-NOT_JUDGED = "not judged, because the readings do not fit each other"
-"""Said of a relation where its test means nothing."""
 
 
 def targets_table(result: "SurveyCalibration") -> Table:
@@ -144,9 +141,9 @@ def _target_row(target: "SurveyTarget") -> tuple[Cell, ...]:
         words = said(f"sigma:{kind}", largest=largest, **sigma)
     return (
         name_cell(target.label),
-        text(kind),
-        text(said(f"place:{kind}", **target.values)),
-        text(words),
+        Cell(kind),
+        Cell(said(f"place:{kind}", **target.values)),
+        Cell(words),
     )
 
 
@@ -177,8 +174,10 @@ def facts(result: "SurveyCalibration", verdict: Verdict) -> Facts:
     judged = contradicted or result.status in ("converged", "undetermined")
     for one in result.relations:
         words = "contradicted by the readings" if one.contradicted else "agrees with the readings"
-        words += f" ({p_words(one.p_value)})"
-        found.append((one.known.words, words if judged else NOT_JUDGED))
+        words = f"{words} ({p_words(one.p_value)})"
+        if not judged:  # then its test means nothing
+            words = "not judged, because the readings do not fit each other"
+        found.append((one.known.words, words))
     if result.without is not None:
         found += _without(result, result.without)
     if result.rejected:
@@ -205,8 +204,7 @@ def _without(result: "SurveyCalibration", other: "SurveyCalibration") -> Iterato
     for name, sensor in other.sensors.items():
         before = result.sensors[name]
         turn = float(Rotation.from_matrix(before.rotation.T @ sensor.rotation).magnitude())
-        angles = Rotation.from_matrix(sensor.rotation).as_euler("ZYX", degrees=True)
-        digits = _digits(float(sensor.rotation_sigma.max()) * IN_DEG)
+        angles, digits = _angles(sensor)
         to = _places(sensor.location, sensor.location_sigma)
         to |= {axis: f"{x:.{digits}f}" for axis, x in zip("ABC", angles.tolist(), strict=True)}
         shift = float(np.linalg.norm(sensor.location - before.location))

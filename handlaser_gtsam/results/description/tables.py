@@ -8,9 +8,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from html import escape
 from typing import NamedTuple, TypeVar
 
+import numpy as np
+
 from ...arrays import FloatArray
 from ...text import count, shortened
-from ..lines import UNDETERMINED, decimals, wrapped
+from ..lines import decimals, wrapped
 from ..messages import MESSAGES, TITLES, said
 
 NONE = "\N{EN DASH}"
@@ -67,17 +69,13 @@ def significant(value: float | None, digits: int = 3) -> Cell:
     return Cell(concise(value, digits), float(value))
 
 
-def determined(value: float, sigma: float, digits: int, unknown: str = UNDETERMINED) -> Cell:
-    """Return a cell with this number of decimals; `unknown` where its sigma is not finite."""
-    return number(value, digits) if math.isfinite(sigma) else Cell(unknown, None, "care")
-
-
 def coordinates(
     values: FloatArray, sigmas: FloatArray, digits: int, unknown: str = NONE
 ) -> tuple[Cell, ...]:
-    """Return a cell for each of the values (n,), by their sigmas (n,), as `determined` has one."""
-    pairs = zip(values.tolist(), sigmas.tolist(), strict=True)
-    return tuple(determined(value, sigma, digits, unknown) for value, sigma in pairs)
+    """Return a cell for each of the values (n,); `unknown` where its sigma (n,) is not finite."""
+    open_ = Cell(unknown, None, "care")
+    pairs = zip(values.tolist(), np.isfinite(sigmas).tolist(), strict=True)
+    return tuple(number(value, digits) if known else open_ for value, known in pairs)
 
 
 def table_of(name: str, rows: Iterable[tuple[Cell, ...]], note: str = "", **words: str) -> Table:
@@ -99,22 +97,18 @@ def listed(
     items: Sequence[Item],
     row: Callable[[Item], tuple[Cell, ...]],
     noun: str,
+    note: str = "",
     **words: str,
 ) -> Table:
-    """Return a table with a row for each of the first items, and a note on how many more there are."""
+    """Return a table with a row for each of the first items, a note, and how many more there are."""
     rows = [row(item) for item in items[:ROWS_ON_PAGE]]
-    return table_of(name, rows, more(len(items) - len(rows), noun), **words)
+    return table_of(name, rows, f"{note} {more(len(items) - len(rows), noun)}".strip(), **words)
 
 
 def more(left: int, noun: str) -> str:
     """Return how many rows are not listed; empty where all are."""
     words = f"{count(left, f'more {noun}')}: the JSON of the calibration has all."
     return words if left > 0 else ""
-
-
-def text(words: str) -> Cell:
-    """Return a cell of words."""
-    return Cell(words)
 
 
 def sentence(words: str) -> str:
@@ -209,8 +203,10 @@ def _parts(sizes: list[int], gap: int, width: int) -> Iterator[list[int]]:
     yield part
 
 
-def full_table(title: str, table: Table, width: int) -> list[str]:
-    """Return a table with its title, caption and note, and a blank line after it."""
+def full_table(title: str, table: Table | None, width: int) -> list[str]:
+    """Return a table with its title, caption and note, and a blank line after it; nothing of none."""
+    if table is None:
+        return []
     caption = [f"{title}. {table.caption}".rstrip() if table.caption else title]
     note = [table.note] if table.note else []
     return [

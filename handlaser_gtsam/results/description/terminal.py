@@ -47,37 +47,31 @@ def _above_warnings(described: "CalibrationDescription", evidence: int, width: i
     Noise, observability and systematic errors have `evidence` lines each, at most, and other facts at
     most two of them; freed errors, which warnings are of, have three.
     """
-    calibration, verdict = described.calibration, described.verdict
-    lines = wrapped(verdict.sentence, None, width)
-
-    def add(name: str, words: str, most: int = min(2, evidence)) -> None:
-        lines.extend(wrapped(f"{name}: {words}".translate(PLAIN), as_many(most, width), width))
-
-    lines += wrapped(_head(described), as_many(1, width), width)
-    if described.beams is not None:
-        lines += text_table(described.beams, width, ROWS_ON_SCREEN)
-    fit = dict(described.fit)
+    calibration, verdict, fit = described.calibration, described.verdict, dict(described.fit)
+    few, of = min(2, evidence), dict[str, int]()
     if any(beam.sigma is not None for beam in calibration.beams.values()):
-        of = {"range errors": min(2, evidence), "freed errors": 3, "noise": evidence}
-        for name, most in of.items():
-            if name in fit:
-                add(name, fit[name], most)
-    add("fit", ", ".join(f"{name} {fit[name]}" for name in BRIEF if name in fit))
-    add("observability", " ".join(described.observability[:3]), evidence)
+        of = {"range errors": few, "freed errors": 3, "noise": evidence}
+    facts = [(name, fit[name], most) for name, most in of.items() if name in fit]
+    facts.append(("fit", ", ".join(f"{name} {fit[name]}" for name in BRIEF if name in fit), few))
+    facts.append(("observability", " ".join(described.observability[:3]), evidence))
     if verdict.exceeded:
-        add("limits exceeded", "; ".join(verdict.exceeded))
+        facts.append(("limits exceeded", "; ".join(verdict.exceeded), few))
     elif verdict.limits:
-        add("limits held", ", ".join(check.comparison for check in verdict.worst_limits))
+        nearest = ", ".join(check.comparison for check in verdict.worst_limits)
+        facts.append(("limits held", nearest, few))
     if described.solved:
-        add(
-            "systematic errors",
-            _systematic(calibration.systematic, described.verdict.reading),
-            evidence,
-        )
+        tested = _systematic(calibration.systematic, verdict.reading)
+        facts.append(("systematic errors", tested, evidence))
     if calibration.fit.rejected:
         names = [f"station {it.station} beam {it.sensor}" for it in calibration.fit.rejected]
         listed = some(names, NAMES_IN_LINE - 1)  # a station and its beam take the room of two names
-        add("rejected", f"{count(len(names), 'reading')}: {listed} (--verbose)")
+        facts.append(("rejected", f"{count(len(names), 'reading')}: {listed} (--verbose)", few))
+    lines = wrapped(verdict.sentence, None, width)
+    lines += wrapped(_head(described), as_many(1, width), width)
+    if described.beams is not None:
+        lines += text_table(described.beams, width, ROWS_ON_SCREEN)
+    for name, words, most in facts:
+        lines += wrapped(f"{name}: {words}".translate(PLAIN), as_many(most, width), width)
     return lines
 
 
@@ -88,23 +82,17 @@ def full_lines(described: "CalibrationDescription", width: int = WIDTH) -> list[
     if not described.solved:
         opening.append(f"NOT A CALIBRATION ({calibration.status}): {calibration.message}")
     lines = text_lines(opening, width)
-    tables = {
-        "mounts": described.mounts,
-        "laser spots": described.spots,
-        "planes": described.planes,
-        "limits": described.limits,
-    }
-    for title, table in tables.items():
-        lines += [] if table is None else full_table(title, table, width)
+    lines += full_table("mounts", described.mounts, width)
+    lines += full_table("laser spots", described.spots, width)
+    lines += full_table("planes", described.planes, width)
+    lines += full_table("limits", described.limits, width)
     lines += _fact_lines(described.fit, width)
     lines += text_lines([f"observability: {' '.join(described.observability)}"], width)
     if described.correlations is not None and described.correlations.rows:
         lines += full_table("correlations", described.correlations, width)
-    if described.systematic is not None:
-        lines += full_table("systematic errors", described.systematic, width)
-        lines += _fact_lines(described.systematic_facts, width)
-    if described.rejected is not None:
-        lines += full_table("rejected readings", described.rejected, width)
+    lines += full_table("systematic errors", described.systematic, width)
+    lines += _fact_lines(described.systematic_facts, width)
+    lines += full_table("rejected readings", described.rejected, width)
     return lines + text_lines(_warning_texts(described), width)
 
 
