@@ -66,25 +66,20 @@ class Answer:
         if json:
             sys.stdout.write(self.json)
         elif not quiet:
-            print_wrapped(self.lines)
+            from ..results.lines import wrapped
+
+            try:
+                for line in self.lines:
+                    print("\n".join(wrapped(line, None, text_width())))
+                sys.stdout.flush()
+            except BrokenPipeError:  # as in `handlaser ... | head`: what is left goes nowhere
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if self.failure is not None:
             code, words = self.failure
             if code != Exit.INTERRUPTED:  # that is said where Ctrl-C ends up
                 with suppress(BrokenPipeError):  # whoever read it has gone; the exit code stays
                     print(f"handlaser: {words}", file=sys.stderr, flush=True)
             raise typer.Exit(code)
-
-
-def print_wrapped(lines: Iterable[str]) -> None:
-    """Print lines no wider than the screen, and than `WIDTH`; nothing once their reader has gone."""
-    from ..results.lines import wrapped
-
-    try:
-        for line in lines:
-            print("\n".join(wrapped(line, None, text_width())))
-        sys.stdout.flush()
-    except BrokenPipeError:  # as in `handlaser ... | head`: what is left goes nowhere
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def wrote(*paths: Path | None) -> list[str]:

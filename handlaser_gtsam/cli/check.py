@@ -40,13 +40,11 @@ def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOpti
     from .survey import read_stated
 
     with Working():
-        known = known_rig(rig, {})
-        read = read_stated(known, recording, [])
+        read, known = read_stated(known_rig(rig, {}), recording, [])
         if isinstance(read, Survey):
             answer = _of_survey(read, known)
         else:
-            log, known = read
-            answer = _of_beams(log.recording, known, advise=rig is not None and not json_)
+            answer = _of_beams(read.recording, known, advise=rig is not None and not json_)
     answer.give(json=json_)
 
 

@@ -135,17 +135,15 @@ class Model:
         changed = (one.name for one in fields(self) if getattr(self, one.name) != one.default)
         return [f"--{name.replace('_', '-')}" for name in changed]
 
-    def options(self, rig: "Rig") -> "CalibrationOptions":
-        """Return the options of a calibration with the sensor of `rig`."""
+    def options(self, rig: "Rig", **more: object) -> "CalibrationOptions":
+        """Return the options of a calibration with the sensor of `rig`, and more of its fields."""
         from ..estimation.options import CalibrationOptions
         from ..text import shown
 
         free = () if self.free is None else tuple(code.strip() for code in self.free.split(","))
         if not all(free):
             raise InputError(f"--free {shown(self.free)}", "codes, with one comma between two")
-        given = asdict(self) | {"free": free, "sensor": rig.sensor}
-        names = CalibrationOptions.__dataclass_fields__
-        return CalibrationOptions(**{name: given[name] for name in names if name in given})
+        return CalibrationOptions(**asdict(self) | more | {"free": free, "sensor": rig.sensor})
 
 
 def metres(at_range_mm: float | None) -> float | None:

@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from ..errors import InputError
-from ..quantities import MM
 from ..text import count, printable, shown
 from .answer import Answer, Working
 from .options import OneOrMore, Seed
@@ -30,12 +29,32 @@ PoseAxes = Literal["x", "y", "z", "xyz"]
 Sigma = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
 
 
-@dataclass(frozen=True, slots=True)
-class Made:
-    """What is simulated.
+def simulate(
+    folder: Path,
+    scene: SceneName = "paper",
+    rig: Path | None = None,
+    targets: str | None = None,
+    beams: OneOrMore = None,
+    planes: Annotated[int, typer.Option(min=1)] = 4,
+    stations: Annotated[int, typer.Option(min=1)] = 11,
+    k1: float = 0.0,
+    k2_per_m: float = 0.0,
+    range_sigma_mm: Sigma = None,
+    pose_translation_sigma_mm: Sigma = None,
+    pose_rotation_sigma_deg: Sigma = None,
+    pose_axes: PoseAxes | None = None,
+    seed: Seed = 0,
+    force: bool = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False,
+) -> None:
+    r"""Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER.
 
-    Attributes
+    With the [[sensors]] of a rig file: stations.csv, a table of points each, rig.toml and truth.json.
+
+    Parameters
     ----------
+    folder : Path
+        Folder to write to.
     scene : SceneName
         paper: ranges to 30 mm; unplanned: any motion; arm: to 0.6 m.
     rig : Path, optional
@@ -54,38 +73,6 @@ class Made:
     range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg : float, optional
     pose_axes : PoseAxes, optional
         Hand axes on which the pose errs.
-    """
-
-    scene: SceneName = "paper"
-    rig: Path | None = None
-    targets: str | None = None
-    beams: OneOrMore = None
-    planes: Annotated[int, typer.Option(min=1)] = 4
-    stations: Annotated[int, typer.Option(min=1)] = 11
-    k1: float = 0.0
-    k2_per_m: float = 0.0
-    range_sigma_mm: Sigma = None
-    pose_translation_sigma_mm: Sigma = None
-    pose_rotation_sigma_deg: Sigma = None
-    pose_axes: PoseAxes | None = None
-
-
-def simulate(
-    folder: Path,
-    made: Made,
-    seed: Seed = 0,
-    force: bool = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False,
-) -> None:
-    r"""Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER.
-
-    With the [[sensors]] of a rig file: stations.csv, a table of points each, rig.toml and truth.json.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder to write to.
-    made : Made
     seed : int
     force : bool
         Replace files that exist.
@@ -103,23 +90,32 @@ def simulate(
     from ..files.study_toml import SceneTable
 
     with Working():
-        fields = asdict(made) | {"beams": made.beams or 4}
-        rig, targets = fields.pop("rig"), fields.pop("targets")
-        table = SceneTable.model_construct(**fields)  # is checked by what it makes
+        table = SceneTable.model_construct(  # is checked by what it makes
+            scene=scene,
+            beams=beams or 4,
+            planes=planes,
+            stations=stations,
+            k1=k1,
+            k2_per_m=k2_per_m,
+            range_sigma_mm=range_sigma_mm,
+            pose_translation_sigma_mm=pose_translation_sigma_mm,
+            pose_rotation_sigma_deg=pose_rotation_sigma_deg,
+            pose_axes=pose_axes,
+        )
         rng = np.random.default_rng(seed)
         if rig is not None:
-            if (made.scene, made.planes) != ("paper", 4):
+            if (scene, planes) != ("paper", 4):
                 raise InputError("--scene or --planes with --rig", "--targets plane:A,plane:B")
             stated = (targets or USUAL_TARGETS).split(",")
             labels = list(dict.fromkeys(map(str.strip, stated)))
-            files, write, unread = simulated_survey(rig, labels, made.beams or 0, table, rng)
-            each = f"{count(len(labels), 'target')}, {count(made.stations, 'station')} each{unread}"
+            files, write, unread = simulated_survey(rig, labels, beams or 0, table, rng)
+            each = f"{count(len(labels), 'target')}, {count(stations, 'station')} each{unread}"
         else:
             if targets is not None:
                 found = "--targets without --rig"
                 raise InputError(found, "a rig file that names sensors of many rays")
             files, write = _of_scene(table, rng)
-            each = f"{made.planes} planes, {made.stations} stations each"
+            each = f"{planes} planes, {stations} stations each"
         there = [file for file in files if (folder / file).exists()]
         if there and not force:
             raise InputError(f"{there[0]} there already", "an empty folder, or --force", folder)
@@ -221,9 +217,7 @@ def simulated_survey(
             if one.zones is None:
                 raise InputError(f"no zones of {one.name}", "the file of zones of an array", rig)
             zones[one.name] = directions_of(rig.parent / one.zones)
-        sigma = None if one.sigma_mm is None else one.sigma_mm * MM
-        more = {"sigma": sigma, "sigma_across": one.sigma_across_mm * MM, "free": one.free}
-        fans.append(fan_of(one.name, one.kind, working, zones.get(one.name), **more))
+        fans.append(fan_of(one.name, one.kind, working, zones.get(one.name), **one.noise))
     truth, stations = survey_scene(fans, beams, labels, table.stations, rng, working)
     of_beams = [*(one.name for one in single), *truth.beams][: len(truth.beams)]
     drawn = dict(zip(of_beams, truth.beams.values(), strict=True))

@@ -61,7 +61,7 @@ def watch(
         from ..files.watch.watched import Watched, watched_files
 
         # What cannot be calibrated whatever the files say is refused now.
-        stated = {name: value for name, value in asdict(given).items() if name != "rig"}
+        stated = asdict(given)
         options = model.options(known_rig(None, stated))
         recording, rig = watched_files(path, given.rig)
         reading = metres(at_range_mm)
