@@ -106,7 +106,10 @@ def _panel(
     shown, count = np.flatnonzero((values > 0.0) & np.isfinite(values)), max(len(values) - 1, 1)
     drawn = np.log10([*values[shown] * unit, *([] if limit is None else [limit * unit])] or [1.0])
     low, high = float(drawn.min()) - 0.05, float(drawn.max()) + 0.05
-    ticks = logarithmic_ticks(low, high)
+    # The numbers between powers of ten that are 1, 2 or 5 times one.
+    powers = range(math.floor(low), math.ceil(high) + 1)
+    ticks = [step * 10.0**power for power in powers for step in (1.0, 2.0, 5.0)]
+    ticks = [tick for tick in ticks if low <= math.log10(tick) <= high]
     if len(ticks) > 6:  # more do not fit above one another
         ticks = [tick for tick in ticks if math.log10(tick).is_integer()]
 
@@ -117,10 +120,3 @@ def _panel(
     labels = [(height(tick), f"{tick:g}") for tick in ticks]
     at = [f"{_across(n, count, edges):.1f} {height(values[n] * unit):.1f}" for n in shown.tolist()]
     return title, labels, None if limit is None else height(limit * unit), "L".join(at)
-
-
-def logarithmic_ticks(low: float, high: float) -> list[float]:
-    """Return the numbers between powers of ten whose exponents are given: 1, 2 and 5 times one."""
-    powers = range(math.floor(low), math.ceil(high) + 1)
-    ticks = [step * 10.0**power for power in powers for step in (1.0, 2.0, 5.0)]
-    return [tick for tick in ticks if low <= math.log10(tick) <= high]

@@ -43,12 +43,13 @@ from ..results.limits import Limits
 from ..text import shown, some
 from .checked_text import (
     FileRecord,
+    checked,
     in_file,
     in_table,
     made,
     numbers,
-    read_checked,
     read_text,
+    read_value,
     square_matrix,
     toml_table,
 )
@@ -319,7 +320,7 @@ def known_rig(path: Path | None, given: Mapping[str, object]) -> Rig:
 
 
 def _read(path: Path) -> tuple[_Rig, Rig]:
-    rig = read_checked(path, _Rig, toml_value, RIG_FILE)
+    rig = checked(read_value(path, toml_value, RIG_FILE), _Rig, RIG_FILE, path)
     with in_file(path):
         return rig, _to_si(rig, path.parent)
 
