@@ -18,6 +18,8 @@ from .options import (
     RecordingArgument,
     how,
     metres,
+    read_stated,
+    require_outputs_of,
 )
 from .stopping import Exit
 
@@ -35,16 +37,12 @@ if TYPE_CHECKING:
     from ..session.reports import Comparison
 
 
-OutliersChoice = Literal["reject", "keep"]
-LossChoice = Literal["gaussian", "huber", "cauchy", "tukey"]
-
-
 def calibrate(
     recording: RecordingArgument,
     given: Given,
     model: Model,
-    outliers: Annotated[OutliersChoice, how] = "reject",
-    loss: Annotated[LossChoice, how] = "gaussian",
+    outliers: Annotated[Literal["reject", "keep"], how] = "reject",
+    loss: Annotated[Literal["gaussian", "huber", "cauchy", "tukey"], how] = "gaussian",
     incremental: Annotated[bool, how] = False,
     cross_check: Annotated[bool, how] = False,
     out: OutOption = None,
@@ -64,9 +62,9 @@ def calibrate(
     Parameters
     ----------
     recording, given, model
-    outliers : OutliersChoice
+    outliers : str
         Leave out, and list, readings that the others contradict; or keep them.
-    loss : LossChoice
+    loss : str
         Loss of the final estimate, reading by reading.
     incremental : bool
         Add plane by plane, or target by target, show what each teaches, and compare with all at once.
@@ -95,7 +93,6 @@ def calibrate(
     from ..files.calibration_writing import calibration_text
     from ..files.writing import write_text
     from ..results.calibration import Calibration
-    from .survey import read_stated, require_outputs_of
 
     with Working():
         rig = given.read()
@@ -224,7 +221,7 @@ def _lines(
 
 
 def _failure_of(
-    result: "Calibration | SurveyCalibration", judged: "Verdict", disagreement: str = ""
+    result: "Calibration | SurveyCalibration", judged: "Verdict", disagreement: str
 ) -> tuple[int, str] | None:
     """Return the exit code of the contract and what went wrong; None where nothing did.
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .answer import Answer, Working, lines_read
-from .options import JsonOption, RecordingArgument
+from .options import JsonOption, RecordingArgument, read_stated
 from .stopping import Exit
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOpti
     """
     from ..data.survey import Survey
     from ..files.rig_toml import known_rig
-    from .survey import read_stated
 
     with Working():
         read, known = read_stated(known_rig(rig, {}), recording, [])

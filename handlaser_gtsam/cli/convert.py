@@ -10,7 +10,14 @@ import typer
 from ..errors import InputError
 from ..files.logs.format import LogFormat
 from .answer import Answer, Working, wrote
-from .options import RANGE, OutOption, QuietOption, described, option_of
+from .options import (
+    RANGE,
+    OutOption,
+    QuietOption,
+    described,
+    option_of,
+    require_outputs_of,
+)
 
 PANEL = "Options for logs"
 
@@ -114,7 +121,6 @@ def convert(
     from ..files.survey_reading import read_survey
     from ..files.writing import require_outputs, write_text
     from ..text import count, printable, some
-    from .survey import require_outputs_of
 
     with Working():
         known = known_rig(rig, {"range_mm": range_mm} | log.stated())

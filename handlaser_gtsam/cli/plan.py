@@ -9,7 +9,17 @@ import typer
 from ..errors import InputError, SolverError
 from ..text import count
 from .answer import Answer, Working, wrote
-from .options import Given, JsonOption, Model, OneOrMore, OutOption, QuietOption, Seed
+from .options import (
+    Given,
+    JsonOption,
+    Model,
+    OneOrMore,
+    OutOption,
+    QuietOption,
+    Seed,
+    read_stated,
+    require_outputs_of,
+)
 from .stopping import Exit
 
 if TYPE_CHECKING:
@@ -82,7 +92,6 @@ def plan(
     from ..files.plan_json import forecast_svg, plan_text
     from ..files.recording_csv import write_stations
     from ..files.writing import write_text
-    from .survey import require_outputs_of
     from .words import plan_lines, station_lines
 
     with Working():
@@ -124,7 +133,6 @@ def _planned(
     from ..planning import plan as planning
     from ..planning.blind import blind_motion
     from ..planning.workspace import require_range
-    from .survey import read_stated
 
     rng = np.random.default_rng(seed)
     if recording is not None and result is not None:

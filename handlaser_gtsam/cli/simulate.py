@@ -11,7 +11,7 @@ import typer
 from ..errors import InputError
 from ..text import count, printable, shown
 from .answer import Answer, Working
-from .options import OneOrMore, Seed
+from .options import OneOrMore, Seed, require_outputs_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,14 +24,12 @@ FILES = ("recording.csv", "rig.toml", "truth.json")
 
 USUAL_TARGETS = "plane:A,sphere:ball"
 """Targets of a survey where none are stated: together they determine every sensor."""
-SceneName = Literal["paper", "unplanned", "arm"]
-PoseAxes = Literal["x", "y", "z", "xyz"]
 Sigma = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
 
 
 def simulate(
     folder: Path,
-    scene: SceneName = "paper",
+    scene: Literal["paper", "unplanned", "arm"] = "paper",
     rig: Path | None = None,
     targets: str | None = None,
     beams: OneOrMore = None,
@@ -42,7 +40,7 @@ def simulate(
     range_sigma_mm: Sigma = None,
     pose_translation_sigma_mm: Sigma = None,
     pose_rotation_sigma_deg: Sigma = None,
-    pose_axes: PoseAxes | None = None,
+    pose_axes: Literal["x", "y", "z", "xyz"] | None = None,
     seed: Seed = 0,
     force: bool = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False,
@@ -55,7 +53,7 @@ def simulate(
     ----------
     folder : Path
         Folder to write to.
-    scene : SceneName
+    scene : str
         paper: ranges to 30 mm; unplanned: any motion; arm: to 0.6 m.
     rig : Path, optional
         Rig file, TOML, with [[sensors]] of many rays: a survey with them, no scene.
@@ -71,7 +69,7 @@ def simulate(
     k2_per_m : float
         Of every beam, in 1/m.
     range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg : float, optional
-    pose_axes : PoseAxes, optional
+    pose_axes : str, optional
         Hand axes on which the pose errs.
     seed : int
     force : bool
@@ -180,7 +178,6 @@ def simulated_survey(
     from ..files.survey_writing import table_names, write_simulated
     from ..validation.survey_scenes import SURVEY_ERRORS, WORKING, fan_of, survey_scene
     from ..validation.survey_simulate import simulate_survey
-    from .survey import require_outputs_of
 
     known = read_rig(rig)
     tables = () if known.survey is None else known.survey.sensors

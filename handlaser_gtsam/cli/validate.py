@@ -9,7 +9,7 @@ import typer
 
 from ..errors import InputError, SolverError
 from .answer import Answer, Working
-from .options import Given, JsonOption, Model, RecordingArgument, Seed
+from .options import Given, JsonOption, Model, RecordingArgument, Seed, read_stated
 from .stopping import Exit
 
 if TYPE_CHECKING:
@@ -58,7 +58,6 @@ def validate(
         --calibration calibration.json
     """
     from ..data.survey import Survey
-    from .survey import read_stated
 
     with Working():
         rig = given.read()
