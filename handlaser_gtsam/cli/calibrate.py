@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from .answer import Answer, Working, lines_read, text_width, wrote
+from .answer import Answer, lines_read, text_width, working, wrote
 from .options import (
     AtRangeOption,
     Given,
@@ -94,7 +94,7 @@ def calibrate(
     from ..files.writing import write_text
     from ..results.calibration import Calibration
 
-    with Working():
+    with working():
         rig = given.read()
         require_outputs_of({"--out": out, "--report": report}, rig, (recording, given.rig))
         chosen = {"--outliers": outliers != "reject", "--loss": loss != "gaussian"}
@@ -102,7 +102,7 @@ def calibrate(
         stated += model.stated() + [option for option, changed in chosen.items() if changed]
         read, rig = read_stated(rig, recording, stated)
         of_survey = isinstance(read, Survey)
-        options = None if of_survey else model.options(rig, outliers=outliers, loss=loss)
+        options = model.options(rig, outliers=outliers, loss=loss)
         reading, plan, disagreement = metres(at_range_mm), None, ""
         result, ordered, taught, comparison = _solved(read, rig, options, incremental=incremental)
         above = list[str]()
@@ -153,13 +153,9 @@ def calibrate(
 
 
 def _solved(
-    read: "LogReport | Survey",
-    rig: "Rig",
-    options: "CalibrationOptions | None",
-    *,
-    incremental: bool,
+    read: "LogReport | Survey", rig: "Rig", options: "CalibrationOptions", *, incremental: bool
 ) -> "tuple[Calibration | SurveyCalibration, Recording | None, Table | None, Comparison | None]":
-    """Calibrate all at once, or one by one; a survey has no options.
+    """Calibrate all at once, or one by one; of a survey no options are stated.
 
     Returns
     -------
@@ -172,7 +168,6 @@ def _solved(
         How far one by one is from all at once.
     """
     from ..data.survey import Survey
-    from ..estimation.options import CalibrationOptions
     from ..pipeline import calibrate as run
 
     if incremental:
@@ -180,7 +175,7 @@ def _solved(
 
         if isinstance(read, Survey):
             return target_by_target(read, rig.noise)
-        return plane_by_plane(read.recording, rig.noise, options or CalibrationOptions())
+        return plane_by_plane(read.recording, rig.noise, options)
     if isinstance(read, Survey):
         return run(read, rig.noise), None, None, None
     return run(read.recording, rig.noise, options), read.recording, None, None

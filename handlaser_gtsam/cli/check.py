@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .answer import Answer, Working, lines_read
+from .answer import Answer, lines_read, working
 from .options import JsonOption, RecordingArgument, read_stated
 from .stopping import Exit
 
@@ -38,7 +38,7 @@ def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOpti
     from ..data.survey import Survey
     from ..files.rig_toml import known_rig
 
-    with Working():
+    with working():
         read, known = read_stated(known_rig(rig, {}), recording, [])
         if isinstance(read, Survey):
             answer = _of_survey(read, known)

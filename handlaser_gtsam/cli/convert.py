@@ -9,7 +9,7 @@ import typer
 
 from ..errors import InputError
 from ..files.logs.format import LogFormat
-from .answer import Answer, Working, wrote
+from .answer import Answer, working, wrote
 from .options import (
     RANGE,
     OutOption,
@@ -122,11 +122,11 @@ def convert(
     from ..files.writing import require_outputs, write_text
     from ..text import count, printable, some
 
-    with Working():
+    with working():
         known = known_rig(rig, {"range_mm": range_mm} | log.stated())
         given = known.log
         outputs = {"--out": out, "--write-log": write_log}
-        require_outputs(outputs, (log_file, *given.files))
+        require_outputs_of(outputs, known, (log_file,))
         require_outputs({"--out": out}, (rig,))
         rig_text = ""
         if write_log is not None:  # refused, if at all, before anything is written
@@ -137,19 +137,16 @@ def convert(
             )
             raise InputError("a bag, with sensors of many rays", expected, log_file)
         if known.many_rays:
-            require_outputs_of({"--out": out}, known, ())
             survey = read_survey(log_file, known)
             if survey.beam_names:
                 words = "a recording with ranges of beams, which is no log of poses"
                 raise InputError(words, "it as it is: other verbs take it", log_file)
             if out is not None:
                 write_stations(out, survey.stations)
-            targets = len(set(survey.stations.plane_labels))
-            points = sum(len(shots.reading) for shots in survey.shots)
-            words = (
-                f"{count(len(survey.stations), 'station')}, {count(len(survey.shots), 'sensor')}, "
-            )
-            words += f"{count(targets, 'target')}, {count(points, 'point')}"
+            sizes = {"station": len(survey.stations), "sensor": len(survey.shots)}
+            sizes["target"] = len(set(survey.stations.plane_labels))
+            sizes["point"] = sum(len(shots.reading) for shots in survey.shots)
+            words = ", ".join(count(number, noun) for noun, number in sizes.items())
             lines, found = [words, *survey.lines], survey.warnings
         else:
             report = describe_log(log_file, given, known.sensor, known.noise.range_sigma)

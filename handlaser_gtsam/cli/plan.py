@@ -8,7 +8,7 @@ import typer
 
 from ..errors import InputError, SolverError
 from ..text import count
-from .answer import Answer, Working, wrote
+from .answer import Answer, working, wrote
 from .options import (
     Given,
     JsonOption,
@@ -94,7 +94,7 @@ def plan(
     from ..files.writing import write_text
     from .words import plan_lines, station_lines
 
-    with Working():
+    with working():
         rig = given.read()
         outputs = {"--out": out, "--picture": picture}
         require_outputs_of(outputs, rig, (recording, calibration, given.rig))

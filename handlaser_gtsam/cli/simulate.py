@@ -10,7 +10,7 @@ import typer
 
 from ..errors import InputError
 from ..text import count, printable, shown
-from .answer import Answer, Working
+from .answer import Answer, working
 from .options import OneOrMore, Seed, require_outputs_of
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def simulate(
 
     from ..files.study_toml import SceneTable
 
-    with Working():
+    with working():
         table = SceneTable.model_construct(  # is checked by what it makes
             scene=scene,
             beams=beams or 4,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import InputError, SolverError
-from .answer import Answer, Working
+from .answer import Answer, working
 from .options import Given, JsonOption, Model, RecordingArgument, Seed, read_stated
 from .stopping import Exit
 
@@ -59,7 +59,7 @@ def validate(
     """
     from ..data.survey import Survey
 
-    with Working():
+    with working():
         rig = given.read()
         if calibration is not None and hold_out is not None:
             raise InputError("--calibration and --hold-out", "one of the two")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .answer import Working
+from .answer import working
 from .options import AtRangeOption, Given, Model, metres
 
 LOOPBACK = "127.0.0.1"
@@ -53,7 +53,7 @@ def watch(
     from ..files.rig_toml import known_rig
     from ..text import printable
 
-    with Working():
+    with working():
         for name in ("starlette", "uvicorn"):
             imported(name, "watch", f"no {name}, which the page needs")
         from ..files.watch.follower import Follower
