@@ -10,7 +10,7 @@ import time
 import pytest
 from helpers import simulated
 
-from handlaser_gtsam.cli.answer import QUIET_S, Working
+from handlaser_gtsam.cli.answer import QUIET_S, working
 from handlaser_gtsam.cli.stopping import CtrlC
 from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.progress import tell
@@ -33,11 +33,13 @@ COMPUTING = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from handlaser_gtsam.cli import answer, main
-listen = answer.Working._listen
-def listened(self, told):
-    print("ready", flush=True)
-    listen(self, told)
-answer.Working._listen = listened
+told_to = answer.told_to
+def listening(listener):
+    def listened(told):
+        print("ready", flush=True)
+        listener(told)
+    return told_to(listened)
+answer.told_to = listening
 main()
 """
 """Says so when the computation has begun."""
@@ -125,7 +127,7 @@ def test_the_command_says_what_it_does_after_a_second_and_takes_it_back(long, tm
 
 def test_a_part_that_was_stopped_is_followed_by_no_other(monkeypatch):
     monkeypatch.setattr(CtrlC, "asked", True)
-    with Working():
+    with working():
         tell("solve")
         with pytest.raises(KeyboardInterrupt):
             tell("leave-out", 1, 3)

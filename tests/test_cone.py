@@ -341,7 +341,7 @@ def test_cones_are_made_and_read_by_the_command(handlaser, refusal, tmp_path):
     assert "with --beams" in refusal(*words)
     assert handlaser(*words, "--beams", "2")[0] == 0
     assert "half_angle_deg = 6" in (made / "rig.toml").read_text()
-    survey = read_any_kind(read_rig(made / "rig.toml"), made / "stations.csv")
+    survey, _ = read_any_kind(read_rig(made / "rig.toml"), made / "stations.csv")
     assert survey.half_angle == pytest.approx(NARROW)
     code, out, _ = handlaser("calibrate", made / "stations.csv", "--rig", made / "rig.toml")
     assert code == 0

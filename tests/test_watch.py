@@ -157,7 +157,7 @@ def test_who_stops_reading_costs_little_and_holds_up_nobody(server, look_on):
 
 
 def test_a_status_follows_the_state_that_it_speaks_of():
-    hub = Hub("")
+    hub = Hub()
     hub.publish({"status": "[2]"})
     hub.publish({"state": "[1]"})
     told = hub.unheard(0)
@@ -194,7 +194,7 @@ def test_who_comes_back_hears_only_what_is_new(server, look_on):
 
 def test_a_mark_of_another_server_says_nothing():
     """After a restart a page hears all, however many publications it knows of the server before."""
-    before, now = Hub(""), Hub("")
+    before, now = Hub(), Hub()
     for _ in range(3):
         before.publish({"state": "[1]"})
     now.publish({"state": "[2]"})
@@ -204,7 +204,7 @@ def test_a_mark_of_another_server_says_nothing():
 
 
 def test_the_same_text_is_not_sent_again():
-    hub = Hub("")
+    hub = Hub()
     hub.publish({"section:a": "1", "section:b": "1"})
     hub.publish({"section:a": "1", "section:b": "2"})
     assert hub.unheard(1) == b"event: section\ndata: 2\n\n"

@@ -17,7 +17,13 @@ def main() -> None:
         os.environ.setdefault(name, "1")
     try:
         with CtrlC() as stopping:
-            code, words = _stoppable(stopping)
+            try:
+                code, words = _run()
+            except BaseException:  # whatever becomes of the KeyboardInterrupt on its way
+                if not stopping.asked:
+                    raise
+            if stopping.asked:
+                code, words = Exit.INTERRUPTED, WORDS
             if words:
                 with suppress(BrokenPipeError):  # whoever read it has gone; the exit code stays
                     print(f"handlaser: {words}", file=sys.stderr, flush=True)
@@ -25,16 +31,6 @@ def main() -> None:
     except KeyboardInterrupt:  # in the first or the last line of the above
         print(f"handlaser: {WORDS}", file=sys.stderr)
         sys.exit(Exit.INTERRUPTED)
-
-
-def _stoppable(stopping: CtrlC) -> tuple[int, str]:
-    """Run a verb that may be stopped, whatever becomes of the KeyboardInterrupt on its way."""
-    try:
-        code, words = _run()
-    except BaseException:
-        if not stopping.asked:
-            raise
-    return (Exit.INTERRUPTED, WORDS) if stopping.asked else (code, words)
 
 
 def _run() -> tuple[int, str]:

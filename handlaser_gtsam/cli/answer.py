@@ -9,8 +9,8 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,25 +66,20 @@ class Answer:
         if json:
             sys.stdout.write(self.json)
         elif not quiet:
-            print_wrapped(self.lines)
+            from ..results.lines import wrapped
+
+            try:
+                for line in self.lines:
+                    print("\n".join(wrapped(line, None, text_width())))
+                sys.stdout.flush()
+            except BrokenPipeError:  # as in `handlaser ... | head`: what is left goes nowhere
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if self.failure is not None:
             code, words = self.failure
             if code != Exit.INTERRUPTED:  # that is said where Ctrl-C ends up
                 with suppress(BrokenPipeError):  # whoever read it has gone; the exit code stays
                     print(f"handlaser: {words}", file=sys.stderr, flush=True)
             raise typer.Exit(code)
-
-
-def print_wrapped(lines: Iterable[str]) -> None:
-    """Print lines no wider than the screen, and than `WIDTH`; nothing once their reader has gone."""
-    from ..results.lines import wrapped
-
-    try:
-        for line in lines:
-            print("\n".join(wrapped(line, None, text_width())))
-        sys.stdout.flush()
-    except BrokenPipeError:  # as in `handlaser ... | head`: what is left goes nowhere
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def wrote(*paths: Path | None) -> list[str]:
@@ -114,48 +109,42 @@ def text_width() -> int:
     return min(columns(), WIDTH)
 
 
-class Working:
-    """A context that shows what is computed, in one line of stderr; only where that is a terminal.
+@contextmanager
+def working() -> Iterator[None]:
+    """Show meanwhile what is computed, in one line of stderr; only where that is a terminal.
 
-    It listens to the progress of all that is computed in it. The line is gone when the context ends.
+    It listens to the progress of all that is computed in it. The line is gone at the end.
     """
+    began, over, part, phase = time.monotonic(), threading.Event(), "", "starting"
 
-    def __init__(self) -> None:
-        self._part, self._phase, self._shown = "", "starting", False
-        self._over = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._listening = told_to(self._listen)
-
-    def __enter__(self) -> None:
-        self._listening.__enter__()
-        if sys.stderr is not None and sys.stderr.isatty():
-            self._thread = threading.Thread(
-                target=self._show, args=(time.monotonic(),), daemon=True
-            )
-            self._thread.start()
-
-    def __exit__(self, *raised: object) -> None:
-        self._listening.__exit__(None, None, None)
-        self._over.set()
-        if self._thread is not None:
-            self._thread.join()
-        if self._shown:
-            print(CLEAR, end="", file=sys.stderr, flush=True)
-
-    def _listen(self, progress: Progress) -> None:
+    def listen(progress: Progress) -> None:
+        nonlocal part, phase
         if progress.total and CtrlC.asked:  # a part was stopped: no other one begins
             raise KeyboardInterrupt
         words = PHASES.get(progress.phase, progress.phase)
         if progress.total:
             number = min(progress.done + 1, progress.total)
-            self._part = f"{progress.name or words} ({number} of {progress.total}): "
+            part = f"{progress.name or words} ({number} of {progress.total}): "
         else:
-            self._phase = words
+            phase = words
 
-    def _show(self, began: float) -> None:
+    def show() -> None:
         wait = QUIET_S
-        while not self._over.wait(wait):
-            line = f"handlaser: {self._part}{self._phase}, {time.monotonic() - began:.0f} s"
+        while not over.wait(wait):
+            line = f"handlaser: {part}{phase}, {time.monotonic() - began:.0f} s"
             width = shutil.get_terminal_size().columns - 1
             print(CLEAR + line[:width], end="", file=sys.stderr, flush=True)
-            self._shown, wait = True, 0.2  # the seconds that it counts look steady
+            wait = 0.2  # the seconds that it counts look steady
+        if wait < QUIET_S:
+            print(CLEAR, end="", file=sys.stderr, flush=True)
+
+    shown = threading.Thread(target=show, daemon=True)
+    try:
+        with told_to(listen):
+            if sys.stderr is not None and sys.stderr.isatty():
+                shown.start()
+            yield
+    finally:
+        over.set()
+        if shown.ident is not None:
+            shown.join()

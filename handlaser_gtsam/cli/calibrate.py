@@ -3,13 +3,11 @@
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from .answer import Answer, Working, lines_read, text_width, wrote
+from .answer import Answer, lines_read, text_width, working, wrote
 from .options import (
     AtRangeOption,
     Given,
@@ -20,12 +18,15 @@ from .options import (
     RecordingArgument,
     how,
     metres,
+    read_stated,
+    require_outputs_of,
 )
 from .stopping import Exit
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
     from ..data.survey import Survey
+    from ..estimation.options import CalibrationOptions
     from ..files.logs.format import LogReport
     from ..files.rig_toml import Rig
     from ..planning.route import Plan
@@ -36,61 +37,47 @@ if TYPE_CHECKING:
     from ..session.reports import Comparison
 
 
-OutliersChoice = Literal["reject", "keep"]
-LossChoice = Literal["gaussian", "huber", "cauchy", "tukey"]
-
-
-@dataclass(frozen=True, slots=True)
-class Manner(Model):
-    """What is estimated, and how it is calibrated.
-
-    Attributes
-    ----------
-    outliers : OutliersChoice
-        Leave out, and list, readings that the others contradict; or keep them.
-    loss : LossChoice
-        Loss of the final estimate, reading by reading.
-    incremental : bool
-        Add plane by plane, or target by target, show what each teaches, and compare with all at once.
-    cross_check : bool
-        Solve again with SciPy and compare.
-    """
-
-    outliers: Annotated[OutliersChoice, how] = "reject"
-    loss: Annotated[LossChoice, how] = "gaussian"
-    incremental: Annotated[bool, how] = False
-    cross_check: Annotated[bool, how] = False
-
-
-@dataclass(frozen=True, slots=True)
-class Output:
-    """What becomes of the result.
-
-    Attributes
-    ----------
-    out : Path, optional
-        Write the result to this JSON file.
-    report : Path, optional
-        Write a report, one HTML page, to this file.
-    verbose : bool
-        Print all tables: planes, intervals, spots.
-    """
-
-    out: OutOption = None
-    report: OutOption = None
-    at_range_mm: AtRangeOption = None
-    verbose: Annotated[bool, typer.Option("--verbose", "-v")] = False
-    quiet: QuietOption = False
-    json_: JsonOption = False
-
-
-def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output: Output) -> None:
+def calibrate(
+    recording: RecordingArgument,
+    given: Given,
+    model: Model,
+    outliers: Annotated[Literal["reject", "keep"], how] = "reject",
+    loss: Annotated[Literal["gaussian", "huber", "cauchy", "tukey"], how] = "gaussian",
+    incremental: Annotated[bool, how] = False,
+    cross_check: Annotated[bool, how] = False,
+    out: OutOption = None,
+    report: OutOption = None,
+    at_range_mm: AtRangeOption = None,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v")] = False,
+    quiet: QuietOption = False,
+    json_: JsonOption = False,
+) -> None:
     r"""Find where each beam or sensor sits in the hand, and each target, with covariances.
 
     Exit codes: 0 good; 1 a bug; 2 bad input; 3 no calibration: the recording does not determine it, its
     readings do not fit each other, or another solver disagrees; 4 not usable: outside the limits of the
     rig file, with a mount that no sensor has or another one about as probable, or with a systematic
     error larger than what the result states; 130 stopped by Ctrl-C.
+
+    Parameters
+    ----------
+    recording, given, model
+    outliers : str
+        Leave out, and list, readings that the others contradict; or keep them.
+    loss : str
+        Loss of the final estimate, reading by reading.
+    incremental : bool
+        Add plane by plane, or target by target, show what each teaches, and compare with all at once.
+    cross_check : bool
+        Solve again with SciPy and compare.
+    out : Path, optional
+        Write the result to this JSON file.
+    report : Path, optional
+        Write a report, one HTML page, to this file.
+    at_range_mm : float, optional
+    verbose : bool
+        Print all tables: planes, intervals, spots.
+    quiet, json_
 
     Examples
     --------
@@ -103,90 +90,72 @@ def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output
         --range-sigma-mm 0.03 --poses exact
     """
     from ..data.survey import Survey
-    from .survey import read_stated, require_outputs_of
-
-    with Working():
-        rig = given.read()
-        outputs = {"--out": output.out, "--report": output.report}
-        require_outputs_of(outputs, rig, (recording, given.rig))
-        stated = [] if output.at_range_mm is None else ["--at-range-mm"]
-        stated += replace(manner, incremental=False, cross_check=False).stated()
-        read = read_stated(rig, recording, stated)
-        if isinstance(read, Survey):
-            answer = _answer(recording, rig, read, manner, output, given.rig)
-        else:
-            log, rig = read
-            answer = _answer(recording, rig, log, manner, output, given.rig)
-    answer.give(json=output.json_, quiet=output.quiet)
-
-
-def _answer(
-    path: Path,
-    rig: "Rig",
-    read: "LogReport | Survey",
-    manner: Manner,
-    output: Output,
-    rig_file: Path | None,
-) -> Answer:
-    """Calibrate, write the result where it is asked for, and return what is said."""
-    from ..data.survey import Survey
     from ..files.calibration_writing import calibration_text
     from ..files.writing import write_text
     from ..results.calibration import Calibration
 
-    reading, plan = metres(output.at_range_mm), None
-    above, checked, disagreement = list[str](), list[str](), ""
-    result, recording, taught, comparison = _solved(read, rig, manner)
-    if comparison is not None:
-        from .incremental import comparison_words
+    with working():
+        rig = given.read()
+        require_outputs_of({"--out": out, "--report": report}, rig, (recording, given.rig))
+        chosen = {"--outliers": outliers != "reject", "--loss": loss != "gaussian"}
+        stated = [] if at_range_mm is None else ["--at-range-mm"]
+        stated += model.stated() + [option for option, changed in chosen.items() if changed]
+        read, rig = read_stated(rig, recording, stated)
+        of_survey = isinstance(read, Survey)
+        options = model.options(rig, outliers=outliers, loss=loss)
+        reading, plan, disagreement = metres(at_range_mm), None, ""
+        result, ordered, taught, comparison = _solved(read, rig, options, incremental=incremental)
+        above = list[str]()
+        if comparison is not None:
+            from .incremental import comparison_words
 
-        what = "target" if isinstance(read, Survey) else "plane"
-        line, disagreement = comparison_words(comparison, what)
-        above.append(line)
-    judged = result.judged(rig.limits, reading)
-    text = calibration_text(result, judged)
-    if output.out is not None:
-        write_text(output.out, text)
-    aloud = output.json_ or output.quiet
-    if manner.cross_check and result.success:
-        from ..validation.cross_check import cross_check
+            line, disagreement = comparison_words(comparison, "target" if of_survey else "plane")
+            above.append(line)
+        judged = result.judged(rig.limits, reading)
+        text = calibration_text(result, judged)
+        if out is not None:
+            write_text(out, text)
+        checked = list[str]()
+        if cross_check and result.success:
+            from ..validation.cross_check import cross_check as check_again
 
-        check = cross_check(result, recording)
-        checked = [
-            f"cross-check with SciPy: largest difference {check.largest:.1e} standard deviations "
-            f"({check.parameter}); standard deviations agree to {check.largest_sigma:.1e} "
-            f"({check.sigma_parameter})"
-        ]
-        if check.difference:
-            disagreement = f"SciPy finds {check.difference}"
-    shown = output.report is not None or not aloud
-    if shown and recording is not None and isinstance(result, Calibration):
-        from .check import advised
+            check = check_again(result, ordered)
+            checked = [
+                f"cross-check with SciPy: largest difference {check.largest:.1e} standard deviations "
+                f"({check.parameter}); standard deviations agree to {check.largest_sigma:.1e} "
+                f"({check.sigma_parameter})"
+            ]
+            if check.difference:
+                disagreement = f"SciPy finds {check.difference}"
+        aloud = json_ or quiet
+        if (report or not aloud) and ordered is not None and isinstance(result, Calibration):
+            from .check import advised
 
-        plan = advised(recording, rig, result)
-    if output.report is not None:
-        from ..files.report.options import ReportOptions
-        from ..files.report.report import write_report
+            plan = advised(ordered, rig, result)
+        if report is not None:
+            from ..files.report.options import ReportOptions
+            from ..files.report.report import write_report
 
-        words = shlex.join(("handlaser", *sys.argv[1:]))
-        beside = () if isinstance(read, Survey) else read.beside
-        options = ReportOptions(rig, reading, path, rig_file, beside, words, plan)
-        write_report(output.report, result, options)
-    above += checked
-    after = lines_read("read" if isinstance(read, Survey) else "log", read.lines)
-    after += wrote(output.out, output.report)
-    return Answer(
-        text,
-        _lines(result, judged, taught, above, plan, after, verbose=output.verbose),
-        [*checked, *result.warnings] if aloud else (),
-        _failure_of(result, judged, disagreement),
-    )
+            words = shlex.join(("handlaser", *sys.argv[1:]))
+            beside = () if isinstance(read, Survey) else read.beside
+            options_of_report = ReportOptions(
+                rig, reading, recording, given.rig, beside, words, plan
+            )
+            write_report(report, result, options_of_report)
+        after = lines_read("read" if of_survey else "log", read.lines) + wrote(out, report)
+        answer = Answer(
+            text,
+            _lines(result, judged, taught, above + checked, plan, after, verbose=verbose),
+            [*checked, *result.warnings] if aloud else (),
+            _failure_of(result, judged, disagreement),
+        )
+    answer.give(json=json_, quiet=quiet)
 
 
 def _solved(
-    read: "LogReport | Survey", rig: "Rig", manner: Manner
+    read: "LogReport | Survey", rig: "Rig", options: "CalibrationOptions", *, incremental: bool
 ) -> "tuple[Calibration | SurveyCalibration, Recording | None, Table | None, Comparison | None]":
-    """Calibrate all at once, or one by one.
+    """Calibrate all at once, or one by one; of a survey no options are stated.
 
     Returns
     -------
@@ -201,19 +170,15 @@ def _solved(
     from ..data.survey import Survey
     from ..pipeline import calibrate as run
 
+    if incremental:
+        from .incremental import plane_by_plane, target_by_target
+
+        if isinstance(read, Survey):
+            return target_by_target(read, rig.noise)
+        return plane_by_plane(read.recording, rig.noise, options)
     if isinstance(read, Survey):
-        if not manner.incremental:
-            return run(read, rig.noise), None, None, None
-        from .incremental import target_by_target
-
-        result, taught, comparison = target_by_target(read, rig.noise)
-        return result, None, taught, comparison
-    options = manner.options(rig)
-    if not manner.incremental:
-        return run(read.recording, rig.noise, options), read.recording, None, None
-    from .incremental import plane_by_plane
-
-    return plane_by_plane(read.recording, rig.noise, options)
+        return run(read, rig.noise), None, None, None
+    return run(read.recording, rig.noise, options), read.recording, None, None
 
 
 def _lines(
@@ -251,7 +216,7 @@ def _lines(
 
 
 def _failure_of(
-    result: "Calibration | SurveyCalibration", judged: "Verdict", disagreement: str = ""
+    result: "Calibration | SurveyCalibration", judged: "Verdict", disagreement: str
 ) -> tuple[int, str] | None:
     """Return the exit code of the contract and what went wrong; None where nothing did.
 
@@ -263,7 +228,7 @@ def _failure_of(
     if disagreement:
         words = f"{disagreement}; expected the same optimum: do not use this calibration"
         return Exit.UNDETERMINED, words
-    words = judged.sentence
-    if judged.code == "outside-limits":
-        words = f"outside the limits: {'; '.join(judged.exceeded)}"
-    return None if judged.usable else (Exit.NOT_USABLE, words)
+    if judged.usable:
+        return None
+    limits = f"outside the limits: {'; '.join(judged.exceeded)}"
+    return Exit.NOT_USABLE, limits if judged.code == "outside-limits" else judged.sentence

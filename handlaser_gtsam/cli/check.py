@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .answer import Answer, Working, lines_read
-from .options import JsonOption, RecordingArgument
+from .answer import Answer, lines_read, working
+from .options import JsonOption, RecordingArgument, read_stated
 from .stopping import Exit
 
 if TYPE_CHECKING:
@@ -37,16 +37,13 @@ def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOpti
     """
     from ..data.survey import Survey
     from ..files.rig_toml import known_rig
-    from .survey import read_stated
 
-    with Working():
-        known = known_rig(rig, {})
-        read = read_stated(known, recording, [])
+    with working():
+        read, known = read_stated(known_rig(rig, {}), recording, [])
         if isinstance(read, Survey):
             answer = _of_survey(read, known)
         else:
-            log, known = read
-            answer = _of_beams(log.recording, known, advise=rig is not None and not json_)
+            answer = _of_beams(read.recording, known, advise=rig is not None and not json_)
     answer.give(json=json_)
 
 

@@ -9,8 +9,15 @@ import typer
 
 from ..errors import InputError
 from ..files.logs.format import LogFormat
-from .answer import Answer, Working, wrote
-from .options import RANGE, OutOption, QuietOption, described, option_of
+from .answer import Answer, working, wrote
+from .options import (
+    RANGE,
+    OutOption,
+    QuietOption,
+    described,
+    option_of,
+    require_outputs_of,
+)
 
 PANEL = "Options for logs"
 
@@ -107,25 +114,40 @@ def convert(
     handlaser convert recording.csv \
         --pose-format ros --write-log logs.toml
     """
+    from ..files.logs.bags import is_bag
     from ..files.logs.reading import describe_log
-    from ..files.recording_csv import write_recording
+    from ..files.recording_csv import write_recording, write_stations
     from ..files.rig_toml import known_rig, with_log_table
+    from ..files.survey_reading import read_survey
     from ..files.writing import require_outputs, write_text
-    from ..text import printable, some
+    from ..text import count, printable, some
 
-    with Working():
+    with working():
         known = known_rig(rig, {"range_mm": range_mm} | log.stated())
         given = known.log
         outputs = {"--out": out, "--write-log": write_log}
-        require_outputs(outputs, (log_file, *given.files))
+        require_outputs_of(outputs, known, (log_file,))
         require_outputs({"--out": out}, (rig,))
         rig_text = ""
         if write_log is not None:  # refused, if at all, before anything is written
             rig_text = with_log_table(write_log, given)
+        if known.many_rays and is_bag(log_file):
+            expected = (
+                "a log of poses beside tables of points; the other verbs take bags as they are"
+            )
+            raise InputError("a bag, with sensors of many rays", expected, log_file)
         if known.many_rays:
-            from .survey import converted_survey
-
-            lines, found = converted_survey(log_file, known, out)
+            survey = read_survey(log_file, known)
+            if survey.beam_names:
+                words = "a recording with ranges of beams, which is no log of poses"
+                raise InputError(words, "it as it is: other verbs take it", log_file)
+            if out is not None:
+                write_stations(out, survey.stations)
+            sizes = {"station": len(survey.stations), "sensor": len(survey.shots)}
+            sizes["target"] = len(set(survey.stations.plane_labels))
+            sizes["point"] = sum(len(shots.reading) for shots in survey.shots)
+            words = ", ".join(count(number, noun) for noun, number in sizes.items())
+            lines, found = [words, *survey.lines], survey.warnings
         else:
             report = describe_log(log_file, given, known.sensor, known.noise.range_sigma)
             if out is not None:

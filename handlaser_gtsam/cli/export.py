@@ -10,7 +10,7 @@ import typer
 from ..errors import InputError
 from ..files.exports.formats import BEAMS, FORMATS, STATIONS, TAKEN
 from ..quantities import MM
-from .answer import Answer, Working, wrote
+from .answer import Answer, working, wrote
 from .options import OutOption, QuietOption
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def export(
     from ..files.exports.export import ExportOptions, export_text
     from ..files.writing import require_outputs, write_text
 
-    with Working():
+    with working():
         if out is None and into is not None:
             raise InputError("--into without --out", "--out FILE")
         require_outputs({"--out": out}, (file, into))

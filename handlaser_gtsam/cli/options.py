@@ -8,10 +8,11 @@ docstring of a verb or a group says of a parameter or a field is the help of its
 import functools
 import inspect
 import logging
+import math
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import asdict, dataclass, fields, is_dataclass
@@ -25,14 +26,14 @@ from ..progress import LOGGER
 from .stopping import CLEAR
 
 if TYPE_CHECKING:
+    from ..data.survey import Survey
     from ..estimation.options import CalibrationOptions
+    from ..files.logs.format import LogReport
     from ..files.rig_toml import Rig
 
 
 FIELD = re.compile(r"(?m)^(\w+) : .*\n((?:^    .*\n)+)")
 """A parameter or a field in a docstring, and what is said of it."""
-RangeErrorChoice = Literal["auto", "none", "k1", "k1k2"]
-PosesChoice = Literal["auto", "exact", "marginalised", "estimated"]
 RecordingArgument = Annotated[
     Path,
     typer.Argument(
@@ -109,10 +110,10 @@ class Model:
 
     Attributes
     ----------
-    range_error : RangeErrorChoice
+    range_error : str
         Terms of the true range d + k1 d + k2 d^2 of a reading d; auto: both, under a prior of zero mean
         whose scales are learned from all beams.
-    poses : PosesChoice
+    poses : str
         How errors of the hand poses count; auto: marginalised, pose sigmas that are not given are
         estimated; exact: the robot is taken to make no errors, as with sigmas of zero.
     estimate_noise : bool
@@ -124,8 +125,8 @@ class Model:
         lag,incidence (docs/messages.md has all codes).
     """
 
-    range_error: Annotated[RangeErrorChoice, how] = "auto"
-    poses: Annotated[PosesChoice, how] = "auto"
+    range_error: Annotated[Literal["auto", "none", "k1", "k1k2"], how] = "auto"
+    poses: Annotated[Literal["auto", "exact", "marginalised", "estimated"], how] = "auto"
     estimate_noise: Annotated[bool, how] = False
     range_sigma_by_beam: Annotated[bool, how] = False
     free: Annotated[str | None, typer.Option(metavar="CODE,...", rich_help_panel=HOW)] = None
@@ -135,17 +136,15 @@ class Model:
         changed = (one.name for one in fields(self) if getattr(self, one.name) != one.default)
         return [f"--{name.replace('_', '-')}" for name in changed]
 
-    def options(self, rig: "Rig") -> "CalibrationOptions":
-        """Return the options of a calibration with the sensor of `rig`."""
+    def options(self, rig: "Rig", **more: object) -> "CalibrationOptions":
+        """Return the options of a calibration with the sensor of `rig`, and more of its fields."""
         from ..estimation.options import CalibrationOptions
         from ..text import shown
 
         free = () if self.free is None else tuple(code.strip() for code in self.free.split(","))
         if not all(free):
             raise InputError(f"--free {shown(self.free)}", "codes, with one comma between two")
-        given = asdict(self) | {"free": free, "sensor": rig.sensor}
-        names = CalibrationOptions.__dataclass_fields__
-        return CalibrationOptions(**{name: given[name] for name in names if name in given})
+        return CalibrationOptions(**asdict(self) | more | {"free": free, "sensor": rig.sensor})
 
 
 def metres(at_range_mm: float | None) -> float | None:
@@ -158,6 +157,54 @@ def metres(at_range_mm: float | None) -> float | None:
     most = LARGEST_LENGTH * IN_MM
     require_number("--at-range-mm", at_range_mm, -most, most)
     return at_range_mm * MM
+
+
+def read_stated(rig: "Rig", path: Path, stated: Sequence[str]) -> "tuple[Survey | LogReport, Rig]":
+    """Read a recording or a survey; refuse what is stated and does not count with the latter.
+
+    Raises
+    ------
+    InputError
+    """
+    from ..data.survey import Survey
+    from ..files.input_reading import read_any_kind
+
+    read, rig = read_any_kind(rig, path)
+    if not isinstance(read, Survey):
+        return read, rig
+    fields = {
+        "max_incidence_deg": rig.sensor.max_incidence < math.pi / 2.0,
+        "incidence_sigma_mm": rig.noise.incidence_sigma > 0.0,
+        "rms_mm in [limits]": rig.limits.rms is not None,
+    }
+    found = [*stated, *(name for name, given in fields.items() if given)]
+    if found:
+        words = f"{', '.join(found)}, with sensors of many rays, other targets or relations"
+        expected = "it with beams before planes only (errors of a sensor are `free` in [[sensors]])"
+        raise InputError(words, expected, path)
+    return read, rig
+
+
+def require_outputs_of(
+    outputs: Mapping[str, Path | None], rig: "Rig", inputs: Sequence[Path | None]
+) -> None:
+    """Refuse files to write, by their options, that are an input, or that a rig file has read.
+
+    Raises
+    ------
+    InputError
+        Also a name that `points` with a * would take for the table of another station.
+    """
+    from ..files.writing import require_outputs
+
+    require_outputs(outputs, (*inputs, *rig.log.files))
+    if rig.survey is None:
+        return
+    require_outputs(outputs, rig.survey.files)
+    for option, path in outputs.items():
+        if path is not None and rig.survey.reads(path):
+            found = f"{option} with a name that points in [[sensors]] takes for a table of points"
+            raise InputError(found, "another name, or another folder", path)
 
 
 @contextmanager

@@ -8,8 +8,18 @@ import typer
 
 from ..errors import InputError, SolverError
 from ..text import count
-from .answer import Answer, Working, wrote
-from .options import Given, JsonOption, Model, OneOrMore, OutOption, QuietOption, Seed
+from .answer import Answer, working, wrote
+from .options import (
+    Given,
+    JsonOption,
+    Model,
+    OneOrMore,
+    OutOption,
+    QuietOption,
+    Seed,
+    read_stated,
+    require_outputs_of,
+)
 from .stopping import Exit
 
 if TYPE_CHECKING:
@@ -82,18 +92,15 @@ def plan(
     from ..files.plan_json import forecast_svg, plan_text
     from ..files.recording_csv import write_stations
     from ..files.writing import write_text
-    from .survey import require_outputs_of
     from .words import plan_lines, station_lines
 
-    with Working():
+    with working():
         rig = given.read()
         outputs = {"--out": out, "--picture": picture}
         require_outputs_of(outputs, rig, (recording, calibration, given.rig))
         planned, hidden = _planned(recording, calibration, rig, model, planes, stations, seed)
         warnings, failure = _gaps(planned)
         warnings += hidden
-        if calibration is not None:
-            warnings += _uncounted(calibration)
         robot = None if rig.workspace is None else rig.workspace.robot
         lines = plan_lines(planned, rig.goal, robot)
         if planned.sensors and rig.workspace is None:
@@ -126,7 +133,6 @@ def _planned(
     from ..planning import plan as planning
     from ..planning.blind import blind_motion
     from ..planning.workspace import require_range
-    from .survey import read_stated
 
     rng = np.random.default_rng(seed)
     if recording is not None and result is not None:
@@ -145,7 +151,9 @@ def _planned(
     # Without a goal as many as an hour's work; with one, the plan ends where it is reached.
     most = stations or (100 if rig.goal.stated else 20)
     stated = model.stated() + ([] if planes is None else ["--planes"])
-    read = None if recording is None else read_stated(rig, recording, stated)
+    read = None
+    if recording is not None:
+        read, rig = read_stated(rig, recording, stated)
     if isinstance(read, Survey):
         found = calibrate(read, rig.noise)
         return planning.plan(found, most, workspace=rig.workspace, goal=rig.goal, rng=rng), []
@@ -153,11 +161,10 @@ def _planned(
     calibration: Calibration | Mounts
     hidden = list[str]()
     if read is None:
-        calibration, plates = _result(result or Path(), rig)
+        calibration, plates, hidden = _result(result or Path(), rig)
     else:
-        report, rig = read
-        options, plates = replace(options, sensor=rig.sensor), None
-        calibration = calibrate(report.recording, rig.noise, options)
+        plates = None
+        calibration = calibrate(read.recording, rig.noise, options)
         if calibration.status != "converged":
             raise SolverError(calibration.message)
         hidden = _hidden(calibration, rig)
@@ -199,22 +206,11 @@ def _gaps(planned: "Plan") -> tuple[list[str], tuple[int, str] | None]:
     )
 
 
-def _uncounted(path: Path) -> list[str]:
-    """Say which freed errors of a result a plan does not count at the stations to come."""
-    from ..files.calibration_reading import read_of_beams
+def _result(path: Path, rig: "Rig") -> "tuple[Mounts, Mapping[str, Plate], list[str]]":
+    """Return the mounts of a result, and its planes as plates that are known as well as it says.
 
-    codes = dict.fromkeys(effect.code for effect in read_of_beams(path).effects)
-    if not codes:
-        return []
-    words = ", ".join(codes)
-    return [
-        f"the stations are taken to be without the freed errors {words} of {path}: a plan counts them "
-        f"with RECORDING and --free {words} instead of --calibration"
-    ]
-
-
-def _result(path: Path, rig: "Rig") -> "tuple[Mounts, Mapping[str, Plate]]":
-    """Return the mounts of a result, and its planes as plates that are known as well as it says."""
+    Lines say which freed errors of it a plan does not count at the stations to come.
+    """
     from ..files.calibration_reading import read_mounts, read_of_beams
     from ..planning.bounds import plate_of
 
@@ -222,8 +218,14 @@ def _result(path: Path, rig: "Rig") -> "tuple[Mounts, Mapping[str, Plate]]":
     if rig.workspace is None:
         raise InputError("a result without a workspace", "the table [workspace] of the rig file")
     middle, plates = 0.5 * (rig.workspace.low + rig.workspace.high), {}
-    for plane in read_of_beams(path).planes:
+    file = read_of_beams(path)
+    for plane in file.planes:
         sigma = plane.sigma
         known = (None, None) if sigma is None else (sigma.offset_m, sigma.normal_rad)
         plates[plane.name] = plate_of(plane.normal, plane.offset_m, middle, known)
-    return mounts, plates
+    words = ", ".join(dict.fromkeys(effect.code for effect in file.effects))
+    line = (
+        f"the stations are taken to be without the freed errors {words} of {path}: a plan counts them "
+        f"with RECORDING and --free {words} instead of --calibration"
+    )
+    return mounts, plates, [line] if words else []

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .answer import Answer, Working, wrote
+from .answer import Answer, working, wrote
 from .options import Given, Model, RecordingArgument
 from .stopping import Exit
 
@@ -38,7 +38,7 @@ def plot(
     from ..files.report.pictures import write_pictures
     from ..pipeline import calibrate
 
-    with Working():
+    with working():
         rig = given.read()
         report, rig = read_with(rig, recording)
         found = calibrate(report.recording, rig.noise, model.options(rig))

@@ -2,17 +2,16 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from ..errors import InputError
-from ..quantities import MM
 from ..text import count, printable, shown
-from .answer import Answer, Working
-from .options import OneOrMore, Seed
+from .answer import Answer, working
+from .options import OneOrMore, Seed, require_outputs_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,18 +24,36 @@ FILES = ("recording.csv", "rig.toml", "truth.json")
 
 USUAL_TARGETS = "plane:A,sphere:ball"
 """Targets of a survey where none are stated: together they determine every sensor."""
-SceneName = Literal["paper", "unplanned", "arm"]
-PoseAxes = Literal["x", "y", "z", "xyz"]
 Sigma = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
 
 
-@dataclass(frozen=True, slots=True)
-class Made:
-    """What is simulated.
+def simulate(
+    folder: Path,
+    scene: Literal["paper", "unplanned", "arm"] = "paper",
+    rig: Path | None = None,
+    targets: str | None = None,
+    beams: OneOrMore = None,
+    planes: Annotated[int, typer.Option(min=1)] = 4,
+    stations: Annotated[int, typer.Option(min=1)] = 11,
+    k1: float = 0.0,
+    k2_per_m: float = 0.0,
+    range_sigma_mm: Sigma = None,
+    pose_translation_sigma_mm: Sigma = None,
+    pose_rotation_sigma_deg: Sigma = None,
+    pose_axes: Literal["x", "y", "z", "xyz"] | None = None,
+    seed: Seed = 0,
+    force: bool = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False,
+) -> None:
+    r"""Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER.
 
-    Attributes
+    With the [[sensors]] of a rig file: stations.csv, a table of points each, rig.toml and truth.json.
+
+    Parameters
     ----------
-    scene : SceneName
+    folder : Path
+        Folder to write to.
+    scene : str
         paper: ranges to 30 mm; unplanned: any motion; arm: to 0.6 m.
     rig : Path, optional
         Rig file, TOML, with [[sensors]] of many rays: a survey with them, no scene.
@@ -52,40 +69,8 @@ class Made:
     k2_per_m : float
         Of every beam, in 1/m.
     range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg : float, optional
-    pose_axes : PoseAxes, optional
+    pose_axes : str, optional
         Hand axes on which the pose errs.
-    """
-
-    scene: SceneName = "paper"
-    rig: Path | None = None
-    targets: str | None = None
-    beams: OneOrMore = None
-    planes: Annotated[int, typer.Option(min=1)] = 4
-    stations: Annotated[int, typer.Option(min=1)] = 11
-    k1: float = 0.0
-    k2_per_m: float = 0.0
-    range_sigma_mm: Sigma = None
-    pose_translation_sigma_mm: Sigma = None
-    pose_rotation_sigma_deg: Sigma = None
-    pose_axes: PoseAxes | None = None
-
-
-def simulate(
-    folder: Path,
-    made: Made,
-    seed: Seed = 0,
-    force: bool = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False,
-) -> None:
-    r"""Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER.
-
-    With the [[sensors]] of a rig file: stations.csv, a table of points each, rig.toml and truth.json.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder to write to.
-    made : Made
     seed : int
     force : bool
         Replace files that exist.
@@ -102,24 +87,33 @@ def simulate(
 
     from ..files.study_toml import SceneTable
 
-    with Working():
-        fields = asdict(made) | {"beams": made.beams or 4}
-        rig, targets = fields.pop("rig"), fields.pop("targets")
-        table = SceneTable.model_construct(**fields)  # is checked by what it makes
+    with working():
+        table = SceneTable.model_construct(  # is checked by what it makes
+            scene=scene,
+            beams=beams or 4,
+            planes=planes,
+            stations=stations,
+            k1=k1,
+            k2_per_m=k2_per_m,
+            range_sigma_mm=range_sigma_mm,
+            pose_translation_sigma_mm=pose_translation_sigma_mm,
+            pose_rotation_sigma_deg=pose_rotation_sigma_deg,
+            pose_axes=pose_axes,
+        )
         rng = np.random.default_rng(seed)
         if rig is not None:
-            if (made.scene, made.planes) != ("paper", 4):
+            if (scene, planes) != ("paper", 4):
                 raise InputError("--scene or --planes with --rig", "--targets plane:A,plane:B")
             stated = (targets or USUAL_TARGETS).split(",")
             labels = list(dict.fromkeys(map(str.strip, stated)))
-            files, write, unread = simulated_survey(rig, labels, made.beams or 0, table, rng)
-            each = f"{count(len(labels), 'target')}, {count(made.stations, 'station')} each{unread}"
+            files, write, unread = simulated_survey(rig, labels, beams or 0, table, rng)
+            each = f"{count(len(labels), 'target')}, {count(stations, 'station')} each{unread}"
         else:
             if targets is not None:
                 found = "--targets without --rig"
                 raise InputError(found, "a rig file that names sensors of many rays")
             files, write = _of_scene(table, rng)
-            each = f"{made.planes} planes, {made.stations} stations each"
+            each = f"{planes} planes, {stations} stations each"
         there = [file for file in files if (folder / file).exists()]
         if there and not force:
             raise InputError(f"{there[0]} there already", "an empty folder, or --force", folder)
@@ -184,7 +178,6 @@ def simulated_survey(
     from ..files.survey_writing import table_names, write_simulated
     from ..validation.survey_scenes import SURVEY_ERRORS, WORKING, fan_of, survey_scene
     from ..validation.survey_simulate import simulate_survey
-    from .survey import require_outputs_of
 
     known = read_rig(rig)
     tables = () if known.survey is None else known.survey.sensors
@@ -221,9 +214,7 @@ def simulated_survey(
             if one.zones is None:
                 raise InputError(f"no zones of {one.name}", "the file of zones of an array", rig)
             zones[one.name] = directions_of(rig.parent / one.zones)
-        sigma = None if one.sigma_mm is None else one.sigma_mm * MM
-        more = {"sigma": sigma, "sigma_across": one.sigma_across_mm * MM, "free": one.free}
-        fans.append(fan_of(one.name, one.kind, working, zones.get(one.name), **more))
+        fans.append(fan_of(one.name, one.kind, working, zones.get(one.name), **one.noise))
     truth, stations = survey_scene(fans, beams, labels, table.stations, rng, working)
     of_beams = [*(one.name for one in single), *truth.beams][: len(truth.beams)]
     drawn = dict(zip(of_beams, truth.beams.values(), strict=True))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, Working
+from .answer import Answer, working
 from .options import JsonOption, OneOrMore, QuietOption
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def study(
     require_outputs({"--out": out, "--picture": picture}, [file])
     kept = None if out is None or not out.exists() else read_runs(out)
     keep = None if out is None else partial(write_runs, out)
-    with Working(), workers(jobs, scheduler) as executor:
+    with working(), workers(jobs, scheduler) as executor:
         table = run_study(declared, executor, kept, keep)
     summary, warnings = summarize_runs(table), count_warnings(table)
     content = {"summary": summary.to_dicts(), "warnings": warnings.to_dicts()}

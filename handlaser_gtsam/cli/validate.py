@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import InputError, SolverError
-from .answer import Answer, Working
-from .options import Given, JsonOption, Model, RecordingArgument, Seed
+from .answer import Answer, working
+from .options import Given, JsonOption, Model, RecordingArgument, Seed, read_stated
 from .stopping import Exit
 
 if TYPE_CHECKING:
@@ -58,25 +58,21 @@ def validate(
         --calibration calibration.json
     """
     from ..data.survey import Survey
-    from .survey import read_stated
 
-    with Working():
+    with working():
         rig = given.read()
         if calibration is not None and hold_out is not None:
             raise InputError("--calibration and --hold-out", "one of the two")
         against = calibration is not None or hold_out is not None
-        read = read_stated(rig, recording, model.stated())
+        read, rig = read_stated(rig, recording, model.stated())
         if isinstance(read, Survey) and against:
             answer = _tested_survey(read, rig, calibration)
         elif isinstance(read, Survey):
             answer = validated(read, rig, None, splits, seed)
+        elif against:
+            answer = _tested(read.recording, rig, model.options(rig), calibration, hold_out)
         else:
-            report, rig = read
-            options = model.options(rig)
-            if not against:
-                answer = validated(report.recording, rig, options, splits, seed)
-            else:
-                answer = _tested(report.recording, rig, options, calibration, hold_out)
+            answer = validated(read.recording, rig, model.options(rig), splits, seed)
     answer.give(json=json_)
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .answer import Working
+from .answer import working
 from .options import AtRangeOption, Given, Model, metres
 
 LOOPBACK = "127.0.0.1"
@@ -53,7 +53,7 @@ def watch(
     from ..files.rig_toml import known_rig
     from ..text import printable
 
-    with Working():
+    with working():
         for name in ("starlette", "uvicorn"):
             imported(name, "watch", f"no {name}, which the page needs")
         from ..files.watch.follower import Follower
@@ -61,7 +61,7 @@ def watch(
         from ..files.watch.watched import Watched, watched_files
 
         # What cannot be calibrated whatever the files say is refused now.
-        stated = {name: value for name, value in asdict(given).items() if name != "rig"}
+        stated = asdict(given)
         options = model.options(known_rig(None, stated))
         recording, rig = watched_files(path, given.rig)
         reading = metres(at_range_mm)

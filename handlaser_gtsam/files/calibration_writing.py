@@ -138,6 +138,13 @@ def _of_survey(result: "SurveyCalibration") -> Record:
         "location_m direction_sigma_rad range_error working_distance_m"
     )
     rotation, translation = result.pose_sigma
+    without: Record | None = None
+    if result.without is not None:  # a result that is not to be read by itself
+        without = {
+            "status": result.without.status,
+            "sensors": records(result.without.sensors.values(), "name rotation location_m"),
+            "beams": records(result.without.beams.values(), "name direction location_m"),
+        }
     return {
         "read": result.read,
         "sensors": [
@@ -165,7 +172,7 @@ def _of_survey(result: "SurveyCalibration") -> Record:
             record(one.known, "relation of") | record(one, "p_value contradicted")
             for one in result.relations
         ],
-        "without_contradicted": None if result.without is None else _mounts(result.without),
+        "without_contradicted": without,
         "rejected": records(result.rejected, "sensor station target reason"),
         **record(result, "undetermined advice chi2 dof"),
     }
@@ -174,15 +181,6 @@ def _of_survey(result: "SurveyCalibration") -> Record:
 def _by_pose(result: "Calibration | SurveyCalibration") -> Record | None:
     """Return errors of the hand that change with its pose; None where it does not err."""
     return None if result.errors_by_pose is None else result.errors_by_pose._asdict()
-
-
-def _mounts(result: "SurveyCalibration") -> Record:
-    """Return where sensors and beams sit by a result that is not to be read by itself."""
-    return {
-        "status": result.status,
-        "sensors": records(result.sensors.values(), "name rotation location_m"),
-        "beams": records(result.beams.values(), "name direction location_m"),
-    }
 
 
 def write_calibration(

@@ -19,7 +19,7 @@ from ..data.recording import first_repeated
 from ..errors import ArgumentError, InputError
 from ..quantities import DEG, MM
 from ..text import shown
-from .writing import path_of, readable
+from .writing import readable
 
 UNITS = {"mm": MM, "deg": DEG, "percent": 0.01}
 """Units that names of fields end with."""
@@ -81,30 +81,8 @@ def read_text(path: Path, expected: str) -> str:
         raise InputError(found, "a file saved as UTF-8", path, line) from error
 
 
-def read_checked(
-    path: Path | str, schema: type[Schema], parse: Callable[[str], object], expected: str
-) -> Schema:
-    """Return the content of a file.
-
-    Parameters
-    ----------
-    path : Path or str
-    schema : subclass of FileRecord
-    parse : callable
-        Makes a mapping of the text; a ValueError says that the text is none.
-    expected : str
-        What kind of file it is, and its language: "a rig file, TOML".
-
-    Raises
-    ------
-    InputError
-        No such file, no UTF-8, what `parse` refuses, or what `schema` does not take.
-    """
-    return checked(read_value(path, parse, expected), schema, expected, path_of(path))
-
-
 def checked(data: object, schema: type[Schema], expected: str, path: Path) -> Schema:
-    """Return what a file holds as `schema` has it; otherwise as `read_checked`.
+    """Return what a file that is `expected` holds as `schema` has it; see `read_value`.
 
     Raises
     ------
@@ -117,24 +95,30 @@ def checked(data: object, schema: type[Schema], expected: str, path: Path) -> Sc
         raise _first_fault(error, data, schema, expected, path) from error
 
 
-def read_value(path: Path | str, parse: Callable[[str], object], expected: str) -> object:
-    """Return what `parse` makes of a file; otherwise as `read_checked`.
+def read_value(path: Path, parse: Callable[[str], object], expected: str) -> object:
+    """Return the content of a file.
+
+    Parameters
+    ----------
+    path : Path
+    parse : callable
+        Makes a value of the text; a ValueError says that the text is none.
+    expected : str
+        What kind of file it is, and its language: "a rig file, TOML".
 
     Raises
     ------
     InputError
         No such file, no UTF-8, or what `parse` refuses.
     """
-    path = path_of(path)
     text = read_text(path, expected)
     try:
         return parse(text)
-    except (InputError, ValueError, RecursionError) as error:  # ValueError: endless integers, too
+    except InputError as error:
+        raise InputError(error.found, expected, path) from error
+    except (ValueError, RecursionError) as error:  # ValueError: endless integers, too
         what = str(error).split(";")[0].splitlines()[0][:120]
-        found = f"no {expected.split()[-1]} ({what})"
-        raise InputError(
-            error.found if isinstance(error, InputError) else found, expected, path
-        ) from error
+        raise InputError(f"no {expected.split()[-1]} ({what})", expected, path) from error
 
 
 def _first_fault(

@@ -29,18 +29,18 @@ def read_with(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
         Also where the rig file has sensors of many rays, cones or relations, or where a target is no
         plane.
     """
-    read = read_any_kind(rig, path)
+    read, known = read_any_kind(rig, path)
     if isinstance(read, Survey):
         found = "sensors of many rays, cones or relations in the rig file"
         if rig.survey is None and not rig.half_angle:
             other = beyond_planes(read.stations.plane_labels)
             found = f"the target {shown(other)}, which is no plane"
         raise InputError(found, "beams before planes only", path)
-    return read
+    return read, known
 
 
-def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
-    """Return what is read from a recording or a log, and the rig.
+def read_any_kind(rig: Rig, path: Path) -> tuple[Survey | LogReport, Rig]:
+    """Return what is read from a recording or a log, and the rig, with the noise that a log shows.
 
     With sensors of many rays, cones, relations or other targets than planes that is a survey. What is
     said of the options of `convert` names the fields of the table [log] instead.
@@ -55,7 +55,8 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
 
             survey = read_survey(path, rig)
             _require_points(rig, survey.stations.plane_labels, path)
-            return replace(survey, warnings=_warnings(rig, survey.warnings, survey.beam_names))
+            warnings = _warnings(rig, survey.warnings, survey.beam_names)
+            return replace(survey, warnings=warnings), rig
         report = read_any(path, rig.log, rig.sensor, rig.noise.range_sigma)
     recording = report.recording
     _require_points(rig, recording.plane_names, path)
@@ -65,7 +66,7 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
     if beyond_planes(recording.plane_names) or rig.half_angle or rig.survey is not None:
         from .survey_reading import survey_of
 
-        return replace(survey_of(recording, rig), lines=lines)
+        return replace(survey_of(recording, rig), lines=lines), rig
     if rig.log.range_sigma_from_scatter and rig.noise.range_sigma is None:
         rig = replace(rig, noise=replace(rig.noise, range_sigma=report.scatter))
     return replace(report, recording=recording, lines=lines), rig

@@ -124,22 +124,17 @@ def write_columns(
     *more: tuple[str, Sequence[str], FloatArray | None],
 ) -> None:
     """Write stations and, if they are there, more columns (M, n): a prefix, n names, and numbers."""
-    table = station_columns(stations)
-    for prefix, names, numbers in more:
-        if numbers is not None:
-            columns = [prefix + name for name in names]
-            own = pl.DataFrame(numbers, schema=columns, orient="row")
-            table = table.hstack(own.fill_nan(None))
-    write_text(path, table.write_csv())
-
-
-def station_columns(stations: Recording | StationList) -> pl.DataFrame:
-    """Return the columns of a file that all say where the hand is, in their order."""
+    labels = {"plane": stations.plane_labels, "station": stations.station_names}
     quaternions = Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True)
     numbers = np.hstack((stations.world_t_hand, quaternions))
-    labels = {"plane": stations.plane_labels, "station": stations.station_names}
-    text = pl.DataFrame(labels, schema=dict.fromkeys(labels, pl.String))
-    return text.hstack(pl.DataFrame(numbers, schema=list(POSE), orient="row"))
+    table = pl.DataFrame(labels, schema=dict.fromkeys(labels, pl.String))
+    table = table.hstack(pl.DataFrame(numbers, schema=list(POSE), orient="row"))
+    for prefix, names, values in more:
+        if values is not None:
+            columns = [prefix + name for name in names]
+            own = pl.DataFrame(values, schema=columns, orient="row")
+            table = table.hstack(own.fill_nan(None))
+    write_text(path, table.write_csv())
 
 
 def stations_of(
@@ -361,10 +356,8 @@ def code_warnings(
     )
     outside = rare.filter(rare.cast(pl.Float64, strict=False).is_finite()).to_list()
     outside.sort(key=float)
-    warnings = []
-    for cell, every in found.items():
-        if cell not in outside:
-            warnings.append(code_warning(f"{cell[:40]!r}", every))
+    codes = {cell: every for cell, every in found.items() if cell not in outside}
+    warnings = [code_warning(f"{cell[:40]!r}", every) for cell, every in codes.items()]
     if outside:
         ends = [f"{cell[:40]!r}" for cell in dict.fromkeys((outside[0], outside[-1]))]
         every = [beam for cell in outside for beam in found[cell]]

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray
 from ..errors import ArgumentError, InputError
 from .checked_text import FileRecord, in_table, made, numbers
-from .recording_csv import QUATERNION_TOLERANCE
+from .recording_csv import off_unit
 
 if TYPE_CHECKING:  # what plans is imported where a file has a table for it
     from ..planning.bounds import Bounds
@@ -166,6 +166,6 @@ class PlanTables(FileRecord):
 
 def _rotation(name: str, quaternion: list[float]) -> FloatArray:
     q = np.array(quaternion)
-    if q.shape != (4,) or not abs(float(np.linalg.norm(q)) - 1.0) <= QUATERNION_TOLERANCE:
+    if q.shape != (4,) or off_unit(q[None])[1].any():
         raise InputError(f"{name} {quaternion}", "qx, qy, qz, qw of length 1")
     return Rotation.from_quat(q).as_matrix()

@@ -38,17 +38,18 @@ from ..data.noise import Noise
 from ..errors import InputError
 from ..model.effects.plausible import FIELDS, Plausible
 from ..model.sensor_limits import Sensor
-from ..quantities import DEG, IN_DEG, IN_MM, LARGEST_LENGTH, MM, WIDEST_CONE
+from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH, WIDEST_CONE
 from ..results.limits import Limits
 from ..text import shown, some
 from .checked_text import (
     FileRecord,
+    checked,
     in_file,
     in_table,
     made,
     numbers,
-    read_checked,
     read_text,
+    read_value,
     square_matrix,
     toml_table,
 )
@@ -262,12 +263,10 @@ class Rig:
             if name not in names:
                 found = f"{name} of kind = {shown(SINGLE)} in [[sensors]], of which nothing is read"
                 raise InputError(found, f"one of the single beams: {some(names, 8) or 'none'}")
-        cones, sigmas = np.full(len(names), self.half_angle), np.full(len(names), np.nan)
-        for i, table in enumerate(map(tables.get, names)):
-            if table is not None:
-                cones[i] = table.half_angle_deg * DEG
-                sigmas[i] = np.nan if table.sigma_mm is None else table.sigma_mm * MM
-        return cones, sigmas
+        given = [tables[name].in_si() if name in tables else {} for name in names]
+        cones = [one.get("half_angle", self.half_angle) for one in given]
+        sigmas = [one.get("sigma", np.nan) for one in given]
+        return np.array(cones, dtype=np.float64), np.array(sigmas, dtype=np.float64)
 
     @property
     def goal(self) -> "Goal":
@@ -319,7 +318,7 @@ def known_rig(path: Path | None, given: Mapping[str, object]) -> Rig:
 
 
 def _read(path: Path) -> tuple[_Rig, Rig]:
-    rig = read_checked(path, _Rig, toml_value, RIG_FILE)
+    rig = checked(read_value(path, toml_value, RIG_FILE), _Rig, RIG_FILE, path)
     with in_file(path):
         return rig, _to_si(rig, path.parent)
 

@@ -20,6 +20,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -79,6 +80,12 @@ class SensorTable(FileRecord):
     echo: Echo = "all"
     clear_mm: float = 0.0
     half_angle_deg: float = 0.0
+
+    @property
+    def noise(self) -> dict[str, Any]:
+        """What is stated of its readings, in SI units, by names as `Shots` has them."""
+        given = self.in_si()
+        return {name: given.get(name) for name in ("sigma", "sigma_across", "free")}
 
 
 class KnownTable(FileRecord):
@@ -141,11 +148,8 @@ class SurveyTables:
                     found = f"one table of points of {first} and {table.name}"
                     raise InputError(found, "a table of each sensor in [[sensors]]", path)
         read = [self._read(table, stations, station_column) for table in self.sensors]
-        return (
-            tuple(shots for shots, *_ in read),
-            tuple(line for _, lines, _ in read for line in lines),
-            tuple(warning for *_, warnings in read for warning in warnings),
-        )
+        shots, lines, warnings = zip(*read, strict=True)
+        return shots, tuple(chain(*lines)), tuple(chain(*warnings))
 
     def bag(self, path: Path, given: LogFormat) -> Survey:
         """Return the stops of the hand in a bag, and what sensors and single beams read there.
@@ -233,9 +237,7 @@ class SurveyTables:
         if (table.zones is None) == (table.kind == "array"):
             found = f"{'no ' if table.zones is None else ''}zones of {name}"
             raise InputError(found, "the file of zones of an array, and of nothing else")
-        sigma = None if table.sigma_mm is None else table.sigma_mm * MM
-        noise: dict[str, Any] = {"sigma": sigma, "sigma_across": table.sigma_across_mm * MM}
-        noise["free"] = table.free
+        noise = table.noise
         first, reading = numbers[:, 0], numbers[:, 1] * length
         if table.kind == "points":
             shots = Shots.points(name, station, numbers * length, **noise)
@@ -266,13 +268,16 @@ class SurveyTables:
 
     def reads(self, path: Path) -> bool:
         """Tell whether a file that came to a path would be taken for a table of points."""
-        paths = [self.folder / table.points for table in self.sensors]
         return any(
-            EACH in points.name
-            and _of_station(points).fullmatch(path.name)
-            and same_file(path.parent, points.parent)
-            for points in paths
+            _of_station(points).fullmatch(path.name) and same_file(path.parent, points.parent)
+            for points in self._of_each
         )
+
+    @property
+    def _of_each(self) -> list[Path]:
+        """Names with a *, which stands for the name of a station."""
+        paths = (self.folder / table.points for table in self.sensors)
+        return [path for path in paths if EACH in path.name]
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -292,8 +297,7 @@ class SurveyTables:
     @property
     def folders(self) -> tuple[Path, ...]:
         """Folders into which further tables of points come, one a station."""
-        paths = [self.folder / table.points for table in self.sensors]
-        return tuple(path.parent for path in paths if EACH in path.name)
+        return tuple(path.parent for path in self._of_each)
 
 
 def _code_warnings(table: SensorTable, codes: "Codes") -> list[CalibrationWarning]:

@@ -45,7 +45,7 @@ from ..validation.runs import RUN_SCHEMA, calibrate_each, reduce_together
 from ..validation.scenes import ERRORS, SENSORS, Layout, draw_scene
 from ..validation.simulate import Errors
 from ..validation.study import Case, Draw, Solve, Study
-from .checked_text import FileRecord, in_file, in_table, read_checked
+from .checked_text import FileRecord, checked, in_file, in_table, read_value
 from .rig_toml import NoiseTable, noise_of, toml_value
 from .writing import path_of, readable, require_writable, write_bytes
 
@@ -165,8 +165,8 @@ def read_study(path: Path | str) -> Study:
     InputError
         No TOML, an unknown field, or what contradicts itself.
     """
-    path = path_of(path)
-    declared = read_checked(path, _Study, toml_value, "a study, TOML")
+    path, expected = path_of(path), "a study, TOML"
+    declared = checked(read_value(path, toml_value, expected), _Study, expected, path)
     cases = []
     with in_file(path):
         for name, scene in declared.scenes.items():

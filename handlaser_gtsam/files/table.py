@@ -369,27 +369,18 @@ def _unquoted(
 
     A stray quote ends them; its fault comes with the rows before it, of which one may be wrong, too.
     """
-    cells = []
+    whole, fault = list[str](), None
+    expected = "no quotes, or quotes around a whole cell on one line with those inside doubled"
     for row, number in zip(rows, numbers.tolist(), strict=True):
-        try:
-            cells.append(_split(row, separator, path, number))
-        except InputError as error:
-            return pl.Series(cells, dtype=pl.String), error
-    return pl.Series(cells, dtype=pl.String), None
-
-
-def _split(line: str, separator: str, path: Path, number: int) -> str:
-    """Return a line with `UNIT` between its cells and without the quotes around them."""
-    cells = CELLS[separator].findall(line) if '"' in line else ()
-    for _, plain in cells:
-        if '"' in plain:
-            found = f"a stray quote in {shown(plain.strip(BLANK))}"
-            expected = (
-                "no quotes, or quotes around a whole cell on one line with those inside doubled"
-            )
-            raise InputError(found, expected, path, number)
-    whole = [plain or quoted.replace('""', '"') for quoted, plain in cells]
-    return UNIT.join(whole) if cells else line.replace(separator, UNIT)
+        cells = CELLS[separator].findall(row) if '"' in row else ()
+        stray = [plain for _, plain in cells if '"' in plain]
+        if stray:
+            found = f"a stray quote in {shown(stray[0].strip(BLANK))}"
+            fault = InputError(found, expected, path, number)
+            break
+        bare = UNIT.join(plain or quoted.replace('""', '"') for quoted, plain in cells)
+        whole.append(bare if cells else row.replace(separator, UNIT))
+    return pl.Series(whole, dtype=pl.String), fault
 
 
 def _whole(cell: str | None, others: pl.Series) -> bool:

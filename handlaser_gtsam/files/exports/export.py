@@ -27,7 +27,7 @@ from ...results.survey import SurveyCalibration
 from ...text import A_NAME, name_fault, shown
 from ..calibration_reading import CalibrationFile, SurveyFile, mounts_of
 from ..calibration_writing import calibration_text
-from ..writing import path_of, write_bytes
+from ..writing import path_of, write_text
 from .beams import Axis, exported_beams
 from .formats import (
     COLON,
@@ -193,7 +193,7 @@ def write_export(
     NotConvergedError
         The calibration is none: its status is not "converged".
     """
-    write_bytes(path_of(path), export_text(what, to, options).encode())
+    write_text(path_of(path), export_text(what, to, options))
 
 
 def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:

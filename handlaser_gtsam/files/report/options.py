@@ -2,7 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass, field
-from datetime import UTC, date, datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 from ...checks import require_kind, require_number
@@ -86,13 +86,17 @@ def sha256(path: Path | str) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def changed_on(path: Path | str) -> date:
-    """Return the day on which a file was last changed, UTC.
+def date_of(options: ReportOptions) -> str:
+    """Return the date of the recording behind a report, UTC; empty where it has no file.
 
     Raises
     ------
     InputError
         No such file.
     """
-    with readable(Path(path), BEHIND):
-        return datetime.fromtimestamp(Path(path).stat().st_mtime, UTC).date()
+    if options.recording_file is None:
+        return ""
+    path = Path(options.recording_file)
+    with readable(path, BEHIND):
+        changed = datetime.fromtimestamp(path.stat().st_mtime, UTC)
+    return f"{changed.date().isoformat()} (of the recording's file)"

@@ -54,7 +54,7 @@ from ..calibration_writing import calibration_text
 from ..exports.rendering import environment
 from .figure import STYLE, Figure
 from .figures import flat_figures
-from .options import ReportOptions, changed_on, sha256
+from .options import ReportOptions, date_of, sha256
 from .scene import Geometry, scene_figure, spaces_of, still_picture
 from .subject import ReadingRows, Subject
 
@@ -205,10 +205,14 @@ def packed_plotly() -> str:
     return base64.b64encode(zlib.compress(get_plotlyjs().encode(), 6)).decode()
 
 
+def line_of_json(value: object) -> str:
+    """Return JSON in one line, as short as it can be."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+
+
 def safe_json(value: object) -> str:
-    """Return JSON that may stand in a script element."""
-    text = json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
-    return text.translate(HARMLESS)
+    """Return the same as it may stand in a script element."""
+    return line_of_json(value).translate(HARMLESS)
 
 
 def stations_table(subject: Subject) -> Table | None:
@@ -262,8 +266,7 @@ def held_out_table(subject: Subject) -> Table | None:
     rows = [_held(subject, one) for one in planes]
     every = len(subject.calibration.planes)
     note = f"{len(planes)} of {every} planes were held out, one at a time."
-    note = note if len(planes) < every else ""
-    return table_of("held-out", rows, note)
+    return table_of("held-out", rows, note if len(planes) < every else "")
 
 
 def _held(subject: Subject, plane: LeftOut) -> tuple[Cell, ...]:
@@ -296,13 +299,6 @@ def title_of(options: ReportOptions) -> str:
     return "Calibration" if file is None else f"Calibration of {printable(Path(file).name)}"
 
 
-def date_of(options: ReportOptions) -> str:
-    """Return the date of the recording behind a report; empty where it has no file."""
-    if options.recording_file is None:
-        return ""
-    return f"{changed_on(options.recording_file).isoformat()} (of the recording's file)"
-
-
 def head_of(subject: Subject) -> Mapping[str, object]:
     """Return what the sections on what was calibrated, and how it was made, are filled with."""
     options, recording = subject.options, subject.calibration.recording
@@ -313,8 +309,7 @@ def head_of(subject: Subject) -> Mapping[str, object]:
     if sensor.max_incidence < np.pi / 2.0:
         parts.append(f"up to {np.degrees(sensor.max_incidence):.4g} deg of incidence")
     parts.append(f"expected linear to {IN_PERCENT * sensor.linearity:.3g} % of a reading")
-    contradiction = subject.held_out.contradiction
-    contradicting = [contradiction] if contradiction else []
+    contradicting = filter(None, [subject.held_out.contradiction])
     ranges = np.empty((0, 1)) if recording is None else recording.ranges
     return {
         "warnings": tuple(map(sentence, (*subject.warnings, *contradicting))),

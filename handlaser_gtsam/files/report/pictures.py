@@ -129,15 +129,11 @@ def _flat(figure: Figure) -> "Drawing":
     return drawing
 
 
-def _numbers(values: Any) -> Any:
-    return np.array([np.nan if x is None else x for x in values], dtype=float)
-
-
 def _trace(axes: "Axes", trace: Mapping[str, Any], before: Mapping[str, Any] | None) -> None:
     """Draw points or a line; or fill what is between a line and the one before."""
-    x, y = _numbers(trace["x"]), _numbers(trace["y"])
+    x, y = (np.array(trace[side], dtype=float) for side in "xy")  # None becomes NaN
     if trace.get("fill") and before is not None:
-        axes.fill_between(x, _numbers(before["y"]), y, color=GREY, alpha=0.25, lw=0)
+        axes.fill_between(x, np.array(before["y"], dtype=float), y, color=GREY, alpha=0.25, lw=0)
         return
     line, marker = trace.get("line", {}), trace.get("marker", {})
     if not line.get("width", 1):
@@ -160,7 +156,7 @@ def _map(axes: "Axes", trace: Mapping[str, Any]) -> None:
     from matplotlib.colors import LinearSegmentedColormap
 
     colours = LinearSegmentedColormap.from_list("flagged", list(trace["colorscale"]))
-    z = np.array([_numbers(row) for row in trace["z"]])
+    z = np.array(trace["z"], dtype=float)
     drawn = axes.imshow(z, cmap=colours, vmin=trace["zmin"], vmax=trace["zmax"])
     axes.figure.colorbar(drawn, ax=axes, shrink=0.85, ticks=trace["colorbar"]["tickvals"])
 

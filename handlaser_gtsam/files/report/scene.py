@@ -92,12 +92,11 @@ class Geometry(NamedTuple):
     hands: FloatArray
     hand_names: tuple[str, ...]
 
-    @property
-    def points(self) -> FloatArray:
-        """Everything that is drawn (N, 3)."""
-        parts = [corners for _, corners in self.planes] + [self.hands.reshape(-1, 3)]
-        parts += [segments.reshape(-1, 3) for _, segments, _ in self.beams]
-        return np.concatenate(parts)
+
+def placed(of: Recording | StationList, station: IntArray, hand: FloatArray) -> FloatArray:
+    """Return spots in the hand (N, 3), each at a station (N,), as they are in the world [m]."""
+    R, t = of.world_R_hand[station], of.world_t_hand[station]
+    return np.asarray(np.einsum("nij,nj->ni", R, hand) + t)
 
 
 def seen_by_beams(subject: Subject) -> list[Seen]:
@@ -109,15 +108,17 @@ def seen_by_beams(subject: Subject) -> list[Seen]:
     for index, beam in enumerate(calibration.beams.values()):
         if rows is None:
             reading = np.array([calibration.fit.typical_range])
-            station, off, place = np.zeros(1, dtype=np.intp), np.zeros(1), np.full((1, 3), np.nan)
+            station, off = np.zeros(1, dtype=np.intp), np.zeros(1)
             used = np.isfinite(reading)  # a graph does not tell its readings
         else:
             mine = np.flatnonzero(rows.beam == index)
             reading, station, off = rows.reading[mine], rows.station[mine], rows.residual[mine]
-            place, used = rows.spot[mine], rows.used[mine]
+            used = rows.used[mine]
         source = np.broadcast_to(beam.location, (len(reading), 3))
-        ranges = model.corrected(reading, np.broadcast_to(beam.range_error, (len(reading), 2)))
-        hand = source + ranges[:, None] * beam.direction
+        hand = source + model.corrected(reading, beam.range_error)[:, None] * beam.direction
+        place = (
+            np.full_like(hand, np.nan) if rows is None else placed(rows.recording, station, hand)
+        )
         called, along = f"beam {short(beam.name)}", np.zeros(len(reading))
         seen.append(Seen(called, sigma, station, hand, source, place, along, off, used))
     return seen
@@ -159,7 +160,7 @@ def in_world(
     beams, drawn, points = [], [], [t]
     for one in seen:
         stations = np.unique(one.station[one.used])
-        stations = some_of(stations, MOST_POINTS // len(seen))
+        stations = stations[evenly(len(stations), MOST_POINTS // len(seen))]
         segments = np.empty((len(stations), 2, 3))
         for i, station in enumerate(stations.tolist()):
             mine = one.used & (one.station == station)
@@ -170,7 +171,7 @@ def in_world(
         beams.append((one.called, segments * IN_MM, words))
     for name, normal in list(planes.items())[:MOST_SHAPES]:
         on = [one.place[one.used & (labels[one.station] == name)] for one in seen]
-        spots = np.concatenate(on) if on else np.empty((0, 3))
+        spots = np.concatenate(on)
         if len(spots):
             drawn.append((name.replace(":", " ", 1), plate(normal, spots)))
     shown, extent = evenly(len(t), MOST_POINTS), np.ptp(np.concatenate(points), axis=0).max()
@@ -184,7 +185,8 @@ def in_hand(seen: Sequence[Seen]) -> Geometry | None:
     """Return some rays of each sensor, as far as it reads, in the hand frame; None without any."""
     beams = []
     for one in seen:
-        rows = some_of(np.flatnonzero(one.used), MOST_SHAPES)
+        rows = np.flatnonzero(one.used)
+        rows = rows[evenly(len(rows), MOST_SHAPES)]
         segments = np.stack((one.source[rows], one.hand[rows]), axis=1)
         beams.append((one.called, segments * IN_MM, (one.called,) * len(rows)))
     points = np.concatenate([np.zeros((1, 3)), *(ends.reshape(-1, 3) for _, ends, _ in beams)])
@@ -198,11 +200,6 @@ def in_hand(seen: Sequence[Seen]) -> Geometry | None:
 def labels_of(of: Recording | StationList) -> NDArray[np.str_]:
     """Return the label of the target of each station (M,), with its kind."""
     return np.array([normal_label(label) for label in of.plane_labels])
-
-
-def some_of(rows: IntArray, most: int) -> IntArray:
-    """Return at most `most` of the rows, evenly spread."""
-    return rows[evenly(len(rows), most)] if len(rows) else rows
 
 
 def hands_at(R: FloatArray, t: FloatArray, length: float) -> FloatArray:
@@ -275,7 +272,10 @@ def still_picture(geometry: Geometry) -> Mapping[str, object]:
     across = np.stack((right, np.cross(forward, right)), axis=1)
     # On paper two pictures stand side by side, half as large.
     size, margin = np.array([760, 520]), 28
-    flat = geometry.points @ across
+    corners_of = [corners for _, corners in geometry.planes]
+    drawn = [*corners_of, geometry.hands.reshape(-1, 3)]
+    drawn += [segments.reshape(-1, 3) for _, segments, _ in geometry.beams]
+    flat = np.concatenate(drawn) @ across
     low, high = flat.min(axis=0), flat.max(axis=0)
     scale = float(((size - 2.0 * margin) / np.maximum(high - low, 1e-9)).min())
 
@@ -283,7 +283,7 @@ def still_picture(geometry: Geometry) -> Mapping[str, object]:
         on = (points @ across - 0.5 * (low + high)) * scale * [1.0, -1.0] + 0.5 * size
         return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in on)
 
-    nearness = {name: float((corners @ forward).mean()) for name, corners in geometry.planes}
+    corners_of.sort(key=lambda corners: float((corners @ forward).mean()))  # the farthest first
     few = len(geometry.beams) <= LEGEND
     ruler = 0.25 * float(size[0]) / scale
     power = 10.0 ** np.floor(np.log10(ruler))
@@ -291,10 +291,7 @@ def still_picture(geometry: Geometry) -> Mapping[str, object]:
         "frame": geometry.frame,
         "size": size.tolist(),
         "margin": margin,
-        "planes": [
-            path(corners)
-            for _, corners in sorted(geometry.planes, key=lambda one: nearness[one[0]])
-        ],
+        "planes": list(map(path, corners_of)),
         "beams": [
             {
                 "name": name if few else "",

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ... import model
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import Recording
 from ...errors import GrazingBeamError, InputError, SolverError
@@ -73,8 +72,6 @@ class ReadingRows(NamedTuple):
         Residual in its own standard deviation; NaN where it was rejected.
     incidence : (N,)
         Angle between beam and plane normal [rad]; NaN where there is no calibration.
-    spot : (N, 3)
-        Laser spot, world frame [m]; NaN likewise.
     """
 
     recording: Recording
@@ -84,7 +81,6 @@ class ReadingRows(NamedTuple):
     residual: FloatArray
     standardized: FloatArray
     incidence: FloatArray
-    spot: FloatArray
 
     @property
     def used(self) -> BoolArray:
@@ -120,19 +116,15 @@ def subject_of(calibration: Calibration, options: ReportOptions) -> Subject:
 def _rows(calibration: Calibration, recording: Recording) -> ReadingRows:
     d, fit = recording.ranges, calibration.fit
     station, beam = np.nonzero(~np.isnan(d))
-    nothing = np.full(len(station), np.nan)
     where = (recording, station, beam, d[station, beam], fit.residuals[station, beam])
-    z = fit.standardized[station, beam]
     if calibration.status != "converged":
-        return ReadingRows(*where, nothing, nothing, np.full((len(station), 3), np.nan))
+        nothing = np.full(len(station), np.nan)
+        return ReadingRows(*where, nothing, nothing)
     at = calibration.parameters()
-    R, t = recording.world_R_hand[station], recording.world_t_hand[station]
-    v = np.einsum("nij,nj->ni", R, at.directions[beam])
+    v = np.einsum("nij,nj->ni", recording.world_R_hand[station], at.directions[beam])
     n = at.normals[recording.plane_of_station[station]]
     incidence = np.arccos(np.clip(np.abs((v * n).sum(axis=1)), 0.0, 1.0))
-    g = model.corrected(d[station, beam], at.range_errors[beam])
-    spot = np.einsum("nij,nj->ni", R, at.locations[beam]) + t + g[:, None] * v
-    return ReadingRows(*where, z, incidence, spot)
+    return ReadingRows(*where, fit.standardized[station, beam], incidence)
 
 
 def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecast] | None:

@@ -8,8 +8,8 @@ from ...results.description.tables import Cell, listed, name_cell
 from ...results.survey import SurveyCalibration
 from ...results.verdict import Verdict
 from .figure import STYLE, Figure
-from .options import ReportOptions
-from .page import date_of, page_of, script_of, sections_of
+from .options import ReportOptions, date_of
+from .page import page_of, script_of, sections_of
 from .scene import in_hand, scene_figure
 from .survey_figures import (
     along_the_rays,
@@ -60,8 +60,7 @@ def survey_content(
     seen = list(seen_by_all(result, survey))
     on = on_targets(result, survey, seen)
     drawn = [world_figure(result, survey, seen)]
-    hand = in_hand(seen)
-    drawn += [] if hand is None else [scene_figure(hand)]
+    drawn += [scene_figure(space) for space in filter(None, [in_hand(seen)])]
     drawn += [by_station(survey, seen), by_target(survey, seen), *(figure for _, figure in on)]
     drawn += [one for one in (along_the_rays(seen), profiles(survey, seen)) if one is not None]
     figures = {figure.name: figure for figure in drawn}

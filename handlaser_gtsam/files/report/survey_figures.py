@@ -38,7 +38,7 @@ from .figure import (
     trace,
 )
 from .figures import BESIDE
-from .scene import Seen, in_world, labels_of, scene_figure, some_of, xyz
+from .scene import Seen, in_world, labels_of, placed, scene_figure, xyz
 
 SHOWN_OF_POINTS = 0.99
 """Part of the distances of points within the scale of their colours."""
@@ -58,7 +58,7 @@ def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
         good: BoolArray,
     ) -> Seen:
         source, hand = rays
-        place = np.einsum("nij,nj->ni", of.world_R_hand[station], hand) + of.world_t_hand[station]
+        place = placed(of, station, hand)
         off = np.full(len(station), np.nan)
         for target in result.targets.values():
             mine, v = labels[station] == target.label, target.values
@@ -72,10 +72,10 @@ def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
 
     for member, shots in enumerate(survey.shots):
         mount, some = result.sensors[shots.name], evenly(len(shots.reading), 20 * MOST_POINTS)
-        own = [item for item in used if item.mount == (SENSOR.name, member)]
         good = np.zeros(len(shots.reading), dtype=bool)
-        for points in (item.points for item in own if item.points is not None):
-            good[points] = True
+        for item in used:
+            if item.mount == (SENSOR.name, member) and item.points is not None:
+                good[item.points] = True
         d, k = shots.reading[some], mount.range_error
         terms = np.array([k.get(one, 0.0) for one in BEAM.numbers[OF_RANGE_ERROR]])
         d = k.get("k0", 0.0) + corrected(d, terms)
@@ -92,8 +92,7 @@ def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
     for i, (name, beam) in enumerate(result.beams.items()):
         assert survey.ranges is not None
         station = np.flatnonzero(~np.isnan(survey.ranges[:, i]))
-        d = survey.ranges[station, i]
-        d = d * (1.0 + beam.range_error[0] + beam.range_error[1] * d)
+        d = corrected(survey.ranges[station, i], np.array(beam.range_error))
         rays = beam.location + 0.0 * d[:, None], beam.location + d[:, None] * beam.direction
         kept = [item.station for item in used if item.mount == (BEAM.name, i)]
         good, along = np.isin(station, kept), np.zeros(len(station))
@@ -248,7 +247,7 @@ def profiles(survey: Survey, seen: Sequence[Seen]) -> Figure | None:
     ]
     traces: list[Record] = []
     for index, (shots, used) in enumerate(flat):
-        for place, station in enumerate(some_of(used, MOST_SHAPES).tolist()):
+        for place, station in enumerate(used[evenly(len(used), MOST_SHAPES)].tolist()):
             rows = np.flatnonzero(shots.station == station)
             rows = rows[np.argsort(shots.across[rows, 0], kind="stable")]
             rows = rows[evenly(len(rows), MOST_SHAPES)]

@@ -6,7 +6,6 @@ only add up: the next calibration is of the newest content.
 """
 
 import contextlib
-import json
 import signal
 import threading
 import time
@@ -15,6 +14,7 @@ from multiprocessing import connection, get_context
 from pathlib import Path
 
 from ...text import printable
+from ..report.page import line_of_json
 from .server import STATUS
 from .watched import Fingerprint, Watched
 from .worker import FileAnswer, work
@@ -154,5 +154,4 @@ class Follower:
             "note": note,
             "changed_ms": changed,
         }
-        status = json.dumps(content, separators=(",", ":"), ensure_ascii=False)
-        self._publish({STATUS: status})
+        self._publish({STATUS: line_of_json(content)})

@@ -86,8 +86,8 @@ class PageServer:
 
     def __init__(self, host: str, bound: socket.socket) -> None:
         self._bound, self.clients = bound, 0
-        self._page, name, policy = live_page()
-        self._hub = Hub(name)
+        self._page, self._name, policy = live_page()
+        self._hub = Hub()
         routes = [Route("/", self._index), Route("/events", self._events)]
         guarded = Guard(Starlette(routes=routes), host, bound, policy)
         self._server = Server(
@@ -173,7 +173,8 @@ class PageServer:
         """Yield what is new to a client until it has gone, which cancels this."""
         self.clients += 1
         try:
-            yield self._hub.hello
+            # Which page this server has, and when to try again [ms].
+            yield f"retry: 1000\nevent: hello\ndata: {self._name}\n\n".encode()
             while True:
                 known, news = await self._hub.news(known)
                 yield news
@@ -213,19 +214,13 @@ STATE, STATUS = "state", "status"
 class Hub:
     """Holds the newest message of each topic. All methods are for the thread of the event loop."""
 
-    def __init__(self, page: str) -> None:
-        self._page = page
+    def __init__(self) -> None:
         # Another one after a restart, which begins to count again.
         self._server = secrets.token_hex(4)
         self._number = 0
         # By topic: the number of the publication that changed its text, and the text.
         self._newest: dict[str, tuple[int, str]] = {}
         self._changed = asyncio.Event()
-
-    @property
-    def hello(self) -> bytes:
-        """What every client hears first: which page this server has, and when to try again [ms]."""
-        return f"retry: 1000\nevent: hello\ndata: {self._page}\n\n".encode()
 
     def publish(self, messages: Mapping[str, str]) -> None:
         """Replace the newest messages of some topics, at once, by texts of one line.

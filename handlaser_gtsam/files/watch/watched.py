@@ -120,7 +120,7 @@ def file_content(path: Path) -> FileContent:
 
 def read_contents(
     parts: Sequence[FileContent], rests: Sequence[bytes], rig: Rig
-) -> Survey | tuple[LogReport, Rig]:
+) -> tuple[Survey | LogReport, Rig]:
     """Read what the lines of the files hold, and rests after them; faults name the files themselves.
 
     Parameters

@@ -22,7 +22,7 @@ from ..logs.format import LogReport
 from ..points_table import AWAITED
 from ..report.figure import Figure
 from ..report.options import ReportOptions
-from ..report.page import LIVE_SECTIONS, content_of, safe_json
+from ..report.page import LIVE_SECTIONS, content_of, line_of_json, safe_json
 from ..report.subject import subject_of
 from ..report.survey import survey_content
 from ..rig_toml import Rig, known_rig
@@ -72,50 +72,38 @@ class Calibrator:
             Whether the files have rested for a while, so that a last line without a line end is all
             that will come of it.
         """
+        watched, beside = self._watched, tuple[Path, ...]()
+        paths: tuple[Path, ...] = (watched.recording,)
         try:
-            rig, mark = self._rig()
-        except InputError as error:
-            self._last = None
-            return FileAnswer(error=str(error))
-        beside = tuple(path for path in rig.log.files if path is not None)
-        folders, awaited = tuple[Path, ...](), tuple[Path, ...]()
-        if rig.survey is not None:
-            awaited, folders = rig.survey.awaited, rig.survey.folders
-            beside = (*beside, *rig.survey.files)
-        if awaited:
-            note = f"waiting for {printable(awaited[0].name)}, of which there is none"
-            answer = FileAnswer(note=note, waiting=True)
-        else:
-            answer = self._of_files(rig, mark, beside, settled)
-        return replace(answer, beside=(*beside, *folders))
-
-    def _rig(self) -> tuple[Rig, bytes]:
-        """Return what is known of sensors and logs, and what is another thing once it changes."""
-        path, watched = self._watched.rig, self._watched
-        if path is not None and not watched.rig_needed and not os.path.lexists(path):
-            path = None
-        mark = b"" if path is None else content(path, "a rig file, TOML")
-        return known_rig(path, watched.given), mark
-
-    def _of_files(
-        self, rig: Rig, mark: bytes, beside: tuple[Path, ...], settled: bool
-    ) -> FileAnswer:
-        paths = (self._watched.recording, *beside)
-        try:
+            known = watched.rig
+            if known is not None and not watched.rig_needed and not os.path.lexists(known):
+                known = None
+            mark = b"" if known is None else content(known, "a rig file, TOML")
+            rig = known_rig(known, watched.given)
+            paths += tuple(path for path in rig.log.files if path is not None)
+            folders, awaited = tuple[Path, ...](), tuple[Path, ...]()
+            if rig.survey is not None:
+                awaited, folders = rig.survey.awaited, rig.survey.folders
+                paths += rig.survey.files
+            beside = (*paths[1:], *folders)
+            if awaited:
+                note = f"waiting for {printable(awaited[0].name)}, of which there is none"
+                return FileAnswer(note=note, waiting=True, beside=beside)
             parts = tuple(file_content(path) for path in paths)
         except InputError as error:
             self._last = None
             missing = isinstance(error.__cause__, FileNotFoundError)
             if missing and error.path in paths:
-                name = printable(error.path.name)
-                return FileAnswer(note=f"waiting for {name}, which is not there", waiting=True)
-            return FileAnswer(error=str(error))
+                note = f"waiting for {printable(error.path.name)}, which is not there"
+                return FileAnswer(note=note, waiting=True, beside=beside)
+            return FileAnswer(error=str(error), beside=beside)
         rests = tuple(rest if settled else b"" for *_, rest in parts)
         last = (tuple(hashlib.sha256(lines).digest() for _, lines, _ in parts), mark, rests)
         answer = replace(self._answer, messages={})
         if last != self._last:
             self._answer = answer = self._calibrated(parts, rests, rig)
             self._last = last
+        answer = replace(answer, beside=beside)
         for path, lines, rest in parts:
             if rest.strip() and not settled and not answer.error:
                 number = len(lines.splitlines()) + 1
@@ -133,16 +121,16 @@ class Calibrator:
         try:
             try:
                 note = ""
-                read = read_contents(parts, rests, rig)
+                read, rig = read_contents(parts, rests, rig)
             except InputError as error:
                 if not any(rest.strip() for rest in rests) or _rows(lines) <= heads:
                     raise
-                read = read_contents(parts, [b""] * len(parts), rig)
+                read, rig = read_contents(parts, [b""] * len(parts), rig)
                 note = f"not used: {error}"
             if isinstance(read, Survey):
                 note = note or next((one for one in read.lines if one.startswith(AWAITED)), "")
                 return FileAnswer(self._of_survey(read, rig), note=printable(note))
-            return FileAnswer(self._messages(*read), note=note)
+            return FileAnswer(self._messages(read, rig), note=note)
         except HandlaserError as error:
             return FileAnswer(error=printable(str(error)))
         except Exception as error:  # the page goes on with the next station
@@ -178,24 +166,21 @@ def messages_of(
     wants it. What has not changed is the same text, and is sent to nobody again.
     """
     found = {
-        f"figure:{name}": _line({"name": name, "figure": figure.json()})
+        f"figure:{name}": line_of_json({"name": name, "figure": figure.json()})
         for name, figure in figures.items()
     }
     found |= {
-        f"section:{name}": _line({"name": name, "html": html}) for name, html in sections.items()
+        f"section:{name}": line_of_json({"name": name, "html": html})
+        for name, html in sections.items()
     }
     found["result"] = result or "null"
     digest = hashlib.sha256("\n".join(found.values()).encode()).hexdigest()
-    return found | {"state": _line({"opening": opening, "digest": digest})}
+    return found | {"state": line_of_json({"opening": opening, "digest": digest})}
 
 
 def _rows(lines: bytes) -> int:
     """Return how many lines are not blank."""
     return sum(1 for line in lines.splitlines() if line.strip())
-
-
-def _line(value: object) -> str:
-    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
 
 def work(asked: "Connection[FileAnswer, bool]", watched: Watched) -> None:
