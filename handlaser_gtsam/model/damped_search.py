@@ -252,7 +252,8 @@ class LeastSquares:
     def summed(self, rows: Sequence[Rows]) -> Normal:
         """Return the normal equations of the rows of all blocks, in the unit of the blocks."""
         pairs = zip(rows, self.blocks, strict=True)
-        return self.reduction.normal([whitened(own, block.weights) for own, block in pairs])
+        white = [whitened(own, block.weights) for own, block in pairs]
+        return self.reduction.normal(self.blocks, white)
 
     def normal(self, values: Values) -> Normal:
         """Return the normal equations at values, in the unit of the blocks."""
@@ -267,7 +268,6 @@ class LeastSquares:
         return replace(
             self,
             blocks=blocks,
-            reduction=self.reduction.with_blocks(blocks),
             unit=self.unit[problems],
             rounding=self.rounding[problems],
         )
@@ -402,7 +402,7 @@ class _Search:
         white = [whitened(r, block.weights) for r, block in zip(rows, problem.blocks, strict=True)]
         robust, variance = problem.robust, problem.unit**2
         if robust is None:
-            normal = problem.reduction.normal(white)
+            normal = problem.reduction.normal(problem.blocks, white)
             cost = 0.5 * normal.squares / variance
             for r, block in zip(rows, problem.blocks, strict=True):
                 if r.impossible is not None:
@@ -430,7 +430,8 @@ class _Search:
             at.cost = at.cost - fall / self.problem.unit**2
             at.scale = scale
         first = at.white[0] * robust.roots(at.residual, scale)
-        at.normal = self.problem.reduction.normal([first, *at.white[1:]])
+        white = [first, *at.white[1:]]
+        at.normal = self.problem.reduction.normal(self.problem.blocks, white)
 
     def _advance(self) -> None:
         """Try a step of every problem."""

@@ -20,7 +20,7 @@ from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, parameters_of, values
 from ..model.block import Block, VectorPrior, whitened
 from ..model.damped_search import LeastSquares, LevenbergOptions, RobustLoss, search
 from ..model.families import BEAM, MOUNT_DIM, OF_RANGE_ERROR, PLANE, count_unknowns, modelled
-from ..model.reduction import Normal, Reduction, damped_step
+from ..model.reduction import Normal, damped_step, reduction_of
 from ..model.weighting import Whitening
 from ..progress import tell
 from ..quantities import ROWS_AT_ONCE
@@ -121,7 +121,7 @@ def beam_problem(
         free = (MOUNT_DIM + terms) * block.beams, PLANE.dim * block.planes
         apart = block.weights.common is None and free[0] > UNKNOWNS_RATIO * free[1]
         local = BEAM.name if apart else PLANE.name
-    reduction = Reduction(blocks, block.counts, unknown, local)
+    reduction = reduction_of(blocks, block.counts, unknown, local)
     dof = max(block.size - count_unknowns(readings[0], terms), 1)
     return LeastSquares(tuple(blocks), reduction, unit, rounding, dof, robust), block
 
@@ -144,9 +144,8 @@ def linearized(
     if rows.impossible is not None:
         require_steep(parameters, readings)
     unknown: dict[str, BoolArray | bool] = {BEAM.name: modelled([terms])[0], PLANE.name: True}
-    normal = Reduction([block], block.counts, unknown, PLANE.name).normal(
-        [whitened(rows, block.weights)]
-    )
+    reduction = reduction_of([block], block.counts, unknown, PLANE.name)
+    normal = reduction.normal([block], [whitened(rows, block.weights)])
     return normal, values[PLANE.name][0, :, CENTRE]
 
 
