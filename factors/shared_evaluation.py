@@ -331,26 +331,18 @@ class Gathering:
     """Counts how many blocks are asked for, and evaluates all of them when they are many."""
 
     def __init__(self, blocks: Sequence["RangeBlock"]) -> None:
-        self.blocks, self._asked, self._together = blocks, 0, False
+        self.blocks, self._asked = blocks, 0
 
     def share(self, block: "RangeBlock", values: gtsam.Values) -> Share | None:
         """Return the rows of `block`, or None where it is to evaluate itself."""
         self._asked += 1
         if self._asked <= FEW_BLOCKS or len(self.blocks) <= 2 * FEW_BLOCKS:
             return None
-        if not self._together:
-            self._evaluate(values)
-        return block.prepared
-
-    def _evaluate(self, values: gtsam.Values) -> None:
-        whitenings = []
-        for block in self.blocks:
-            rows = np.arange(len(block.distance))
-            plain = Whitening(np.ones(len(rows)), 1.0, rows)
-            whitenings.append(plain if block.whitening is None else block.whitening)
+        # From now on every block has what it hands out, and asks no more.
+        whitenings = [one.whitening for one in self.blocks if one.whitening is not None]
         shared = SharedEvaluation(self.blocks, joined(whitenings))
         shared.hand_out(shared.evaluate(values))
-        self._together = True
+        return block.prepared
 
 
 @contextmanager
