@@ -268,8 +268,8 @@ def test_a_search_that_creeps_along_what_is_hardly_determined_ends(monkeypatch):
     reduction = reduction_of(blocks, {POINT.name: 1}, {POINT.name: True})
     problem = damped.LeastSquares(blocks, reduction, np.ones(1), np.zeros(1), Ring.readings - 3)
     start = {POINT.name: np.array([[[0.0, 1.0, 0.0]]])}
-    for least in (0.0, damped.CREEPING_STEP):
-        monkeypatch.setattr(damped, "CREEPING_STEP", least)
+    for least in (0.0, damped.NEGLIGIBLE):
+        monkeypatch.setattr(damped, "NEGLIGIBLE", least)
         trials = []
         options = damped.LevenbergOptions(least_damping=1e-12)
         ends.append((damped.search(problem, start, options, trials.append), len(trials)))

@@ -18,7 +18,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_count, require_fields
 from ..progress import Trial
-from ..quantities import LARGEST_NUMBER, RESOLUTION, TINY
+from ..quantities import LARGEST_NUMBER, NEGLIGIBLE, RESOLUTION, TINY
 from .block import Block, OfProblems, Rows, Values, impossible, whitened
 from .losses import Loss
 from .reduction import Normal, Reduction, damped_step
@@ -28,9 +28,9 @@ POOR_GAIN = 0.25
 saves all but less than this part lowers it."""
 LEVEL_STEPS = 6
 """Steps in a row below the resolution of the cost that end a search: fewer occur before a minimum."""
-CREEPING_STEP, CREEPING_AFTER = 1e-6, 100
-"""A search ends, too, after the second number of trials where `LEVEL_STEPS` accepted steps running save
-less than the first each, in parts of the cost a degree of freedom. It creeps along what is not
+CREEPING_AFTER = 100
+"""A search ends, too, after that number of trials where `LEVEL_STEPS` accepted steps running save less
+than `NEGLIGIBLE` each, in parts of the cost a degree of freedom. It creeps along what is not
 determined, where it would go on for hundreds of steps; one that arrives at a minimum seldom takes 100
 trials."""
 
@@ -465,7 +465,7 @@ class _Search:
         self.iterations += better
         self._tell(decrement, trial.cost, better)
         if self.trials > CREEPING_AFTER:
-            creeps = self.at.cost - trial.cost < CREEPING_STEP / self.problem.dof * self.at.cost
+            creeps = self.at.cost - trial.cost < NEGLIGIBLE / self.problem.dof * self.at.cost
             self.creeping = np.where(better, (self.creeping + 1) * creeps, self.creeping)
         self._accept(better, trial)
         arrived |= self.creeping >= LEVEL_STEPS

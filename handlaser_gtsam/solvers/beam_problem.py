@@ -14,8 +14,7 @@ from ..arrays import BoolArray, FloatArray, IntArray, gathered
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.readings import Readings
 from ..data.value import Value
-from ..errors import GrazingBeamError
-from ..model import GRAZING_LIMIT, cosines, linearize, scene, tangent_basis, tangent_columns
+from ..model import linearize, predicted_ranges, scene, tangent_basis, tangent_columns
 from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, parameters_of, values_of
 from ..model.block import Block, VectorPrior, whitened
 from ..model.damped_search import LeastSquares, LevenbergOptions, RobustLoss, search
@@ -215,10 +214,7 @@ def newton_step(
 
 def require_steep(parameters: Parameters, readings: Readings) -> None:
     """Refuse a beam that is parallel to its plane."""
-    cosine = cosines(scene(parameters, readings))
-    worst = float(cosine[np.argmin(np.abs(cosine))])
-    if not abs(worst) >= GRAZING_LIMIT:
-        raise GrazingBeamError(worst, GRAZING_LIMIT)
+    predicted_ranges(scene(parameters, readings))
 
 
 def refine(start: Parameters, readings: Readings, terms: int, iterations: int) -> Candidate | None:

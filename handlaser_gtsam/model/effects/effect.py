@@ -69,7 +69,10 @@ class SeenStations:
         plates: tuple[FloatArray, float] | None = None,
     ) -> None:
         self.at, self.readings, self.position, self.channel = at, readings, position, channel
-        self.given_middle, self.given_plates = middle, plates
+        if middle is not None:
+            self.middle = middle
+        if plates is not None:
+            self.plates = plates
         self.held = np.zeros(at.range_errors.shape, dtype=bool)
 
     @cached_property
@@ -101,8 +104,7 @@ class SeenStations:
     @cached_property
     def middle(self) -> FloatArray:
         """Orientation (3, 3) of the hand from which turns count."""
-        given = self.given_middle
-        return np.asarray(self.rotations.mean().as_matrix() if given is None else given)
+        return np.asarray(self.rotations.mean().as_matrix())
 
     @cached_property
     def rotations(self) -> Rotation:
@@ -117,8 +119,6 @@ class SeenStations:
     @cached_property
     def plates(self) -> tuple[FloatArray, float]:
         """The middle (P, 3) of each plate, and the squared distance of the farthest spot [m^2]."""
-        if self.given_plates is not None:
-            return self.given_plates
         middles = self.readings.plane_means(self.spots)
         square = ((self.spots - middles[self.readings.plane]) ** 2).sum(axis=1)
         return middles, max(float(square.max()), np.finfo(float).tiny)
