@@ -26,11 +26,9 @@ from handlaser_gtsam.errors import SolverError
 from handlaser_gtsam.model.families import (
     BEAM,
     DIRECTION,
-    LOCATION,
     MOUNT_DIM,
     PLANE,
     POSE,
-    RANGE_ERROR,
 )
 from handlaser_gtsam.model.weighting import Whitening, joined
 
@@ -257,24 +255,6 @@ class SharedEvaluation:
     def _terms_of(self, block: "RangeBlock") -> tuple[int, ...]:
         """Return the number of range-error terms of each beam of a block."""
         return tuple([self._terms[beam.range_error] for beam in block.beams])
-
-    def squared_columns(self, evaluation: Evaluation) -> dict[int, FloatArray]:
-        """Return, for every key, the squared lengths of its Jacobian columns."""
-        total: dict[int, FloatArray] = {}
-        for keys, index, columns in (
-            ([beam.location for beam in self.beams], self.beam_of, LOCATION),
-            ([beam.direction for beam in self.beams], self.beam_of, DIRECTION),
-            ([beam.range_error for beam in self.beams], self.beam_of, RANGE_ERROR),
-            (self.planes, self.plane_of, PLANE_COLUMNS),
-            (self.poses, self.pose_of, POSE_COLUMNS),
-        ):
-            block = evaluation.jacobian[:, columns]
-            sums = np.zeros((len(keys), block.shape[1]))
-            np.add.at(sums, index, block**2)
-            for key, squares in zip(keys, sums, strict=True):
-                if key is not None:  # beams may share it
-                    total[key] = total.get(key, 0.0) + squares[: self._terms.get(key)]
-        return total
 
     def _beams(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return locations, directions and range errors of the beams."""

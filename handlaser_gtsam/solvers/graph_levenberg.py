@@ -31,8 +31,6 @@ from .graph import CalibrationGraph
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be: less is lost in any use of them."""
-Squares = dict[int, FloatArray]
-"""For every key, the squared lengths of its Jacobian columns [standard deviations]."""
 Linear = tuple[gtsam.GaussianFactorGraph, Callable[[gtsam.VectorValues], gtsam.Values]]
 """A linear graph, and what a step of its variables leads to."""
 Step = tuple[gtsam.VectorValues, float]
@@ -53,29 +51,23 @@ class Point:
         they are unknown.
     linear : callable
         Linearises here, and says what steps lead to.
-    squares : callable
-        Returns the squares of the columns of what `linear` returns.
     """
 
     values: gtsam.Values
     cost: float
     residuals: Callable[[], tuple[FloatArray, FloatArray]]
     linear: Callable[[], Linear]
-    squares: Callable[[gtsam.GaussianFactorGraph], Squares]
 
 
 def damped_step(
-    linear: gtsam.GaussianFactorGraph,
-    ordering: gtsam.Ordering,
-    squares: Callable[[gtsam.GaussianFactorGraph], Squares],
-    damping: float,
+    linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, damping: float
 ) -> Step | None:
     """Return the step of a linear graph at a damping; None where the system is singular."""
     damped = linear
     if damping > 0.0:
         damped = gtsam.GaussianFactorGraph()
         damped.push_back(linear)
-        for key, columns in squares(linear).items():
+        for key, columns in squared_columns(linear).items():
             # Marquardt's damping needs at least a trace where a column is empty.
             size, dim = np.maximum(columns, SINGULAR * columns.max()), len(columns)
             unit = gtsam.noiseModel.Unit.Create(dim)
@@ -90,10 +82,10 @@ def damped_step(
     return (delta, decrement) if np.isfinite(decrement) else None
 
 
-def squared_columns(linear: gtsam.GaussianFactorGraph) -> Squares:
+def squared_columns(linear: gtsam.GaussianFactorGraph) -> dict[int, FloatArray]:
     """Return, for every key, the squared lengths of its whitened Jacobian columns."""
     sizes = linear.gradientAtZero()
-    total: Squares = {}
+    total: dict[int, FloatArray] = {}
     for factor in (linear.at(i) for i in range(linear.size()) if linear.exists(i)):
         first, squares = 0, (factor.jacobian()[0] ** 2).sum(axis=0)
         for key in factor.keys():  # noqa: SIM118
@@ -172,15 +164,11 @@ def levenberg_marquardt(
             residual[problem.rows], white[problem.rows] = point.residual, point.white
             return residual, white
 
-        def squares(_linear: gtsam.GaussianFactorGraph) -> Squares:
-            columns = shared.squared_columns(point)
-            return {key: column / sigma**2 for key, column in columns.items()}
-
         def linear() -> Linear:
             with shared.handed_out(point):
                 return problem.graph.linearize(values), values.retract
 
-        return Point(values, cost + others.error(values), residuals, linear, squares)
+        return Point(values, cost + others.error(values), residuals, linear)
 
     rows = len(problem.readings)
     # Rounding errors come from positions and readings.
@@ -235,7 +223,7 @@ def optimize(
             amid, points = amid_readings(graph.linearize(values), values)
             return amid, lambda step: turned_amid_readings(values, step, points)
 
-        return Point(values, cost, lambda: none, linear, squared_columns)
+        return Point(values, cost, lambda: none, linear)
 
     rows = sum(graph.at(i).dim() for i in range(graph.size()) if graph.exists(i))
     # A change of `ROUNDING` standard deviations of every residual counts as rounding.
@@ -296,7 +284,7 @@ def _minimised(
     try:
         linear, moved = point.linear()
         while len(history) < options.max_iterations:
-            step = damped_step(linear, ordering, point.squares, float(damping))
+            step = damped_step(linear, ordering, float(damping))
             decrement = np.array(-1.0 if step is None else step[1])  # negative for no step
             before, arrived, trial = np.array(point.cost), False, None
             if step is not None:
@@ -318,7 +306,7 @@ def _minimised(
             if level and damping > options.least_damping:
                 # Damped steps may be short far from any minimum, as where beams nearly graze planes.
                 here, least = point.linear()[0], options.least_damping
-                left = damped_step(here, ordering, point.squares, least)
+                left = damped_step(here, ordering, least)
                 if left is None or left[1] > OPTIMAL**2:
                     status = "stalled"
                     message = f"steps no longer lower the cost after {count(accepted, 'step')}"
