@@ -63,7 +63,7 @@ def beam_drift(
             before.location, now.location, np.zeros(3), isotropic(3, location_sigma)
         ),
         gtsam.CustomFactor(
-            isotropic(2, direction_sigma), [before.direction, now.direction], _DirectionChange()
+            isotropic(2, direction_sigma), [before.direction, now.direction], _direction_change
         ),
     ]
     return (*factors, *_range_error_drift(before.range_error, now.range_error, of_terms.ravel()))
@@ -86,30 +86,25 @@ def _range_error_drift(
     return [gtsam.BetweenFactorVector(k, k_now, np.zeros(len(range_error_sigmas)), model)]
 
 
-class _DirectionChange:
-    """The error function of the direction; it does not refer to its factor."""
-
-    __slots__ = ()
-
-    def __call__(
-        self,
-        factor: gtsam.CustomFactor,
-        values: gtsam.Values,
-        jacobians: gtsam.JacobianVector | Sequence[FloatArray] | None,
-    ) -> FloatArray:
-        before, now = (values.atUnit3(key) for key in factor.keys())  # noqa: SIM118
-        v, basis, other = before.point3(), before.basis(), now.basis()
-        e, c = basis.T @ now.point3(), float(v @ now.point3())
-        # Opposite directions have no shortest way from one to the other.
-        scale = np.sqrt(2.0 / max(1.0 + c, SINGULAR))
-        by_c = -0.5 * scale / max(1.0 + c, SINGULAR)
-        if jacobians is not None:
-            turned = np.outer([e[1], -e[0]], basis_turn(v, basis)) - c * np.eye(2)
-            jacobians[0] = scale * turned + by_c * np.outer(e, e)  # type: ignore[index]
-            along = v @ other
-            jacobians[1] = scale * basis.T @ other + by_c * np.outer(e, along)  # type: ignore[index]
-        change: FloatArray = scale * e
-        return change
+def _direction_change(
+    factor: gtsam.CustomFactor,
+    values: gtsam.Values,
+    jacobians: gtsam.JacobianVector | Sequence[FloatArray] | None,
+) -> FloatArray:
+    """Return the error of the direction, and fill its Jacobians where they are asked for."""
+    before, now = (values.atUnit3(key) for key in factor.keys())  # noqa: SIM118
+    v, basis, other = before.point3(), before.basis(), now.basis()
+    e, c = basis.T @ now.point3(), float(v @ now.point3())
+    # Opposite directions have no shortest way from one to the other.
+    scale = np.sqrt(2.0 / max(1.0 + c, SINGULAR))
+    by_c = -0.5 * scale / max(1.0 + c, SINGULAR)
+    if jacobians is not None:
+        turned = np.outer([e[1], -e[0]], basis_turn(v, basis)) - c * np.eye(2)
+        jacobians[0] = scale * turned + by_c * np.outer(e, e)  # type: ignore[index]
+        along = v @ other
+        jacobians[1] = scale * basis.T @ other + by_c * np.outer(e, along)  # type: ignore[index]
+    change: FloatArray = scale * e
+    return change
 
 
 def basis_turn(v: FloatArray, basis: FloatArray) -> FloatArray:

@@ -26,11 +26,9 @@ from handlaser_gtsam.errors import SolverError
 from handlaser_gtsam.model.families import (
     BEAM,
     DIRECTION,
-    LOCATION,
     MOUNT_DIM,
     PLANE,
     POSE,
-    RANGE_ERROR,
 )
 from handlaser_gtsam.model.weighting import Whitening, joined
 
@@ -258,24 +256,6 @@ class SharedEvaluation:
         """Return the number of range-error terms of each beam of a block."""
         return tuple([self._terms[beam.range_error] for beam in block.beams])
 
-    def squared_columns(self, evaluation: Evaluation) -> dict[int, FloatArray]:
-        """Return, for every key, the squared lengths of its Jacobian columns."""
-        total: dict[int, FloatArray] = {}
-        for keys, index, columns in (
-            ([beam.location for beam in self.beams], self.beam_of, LOCATION),
-            ([beam.direction for beam in self.beams], self.beam_of, DIRECTION),
-            ([beam.range_error for beam in self.beams], self.beam_of, RANGE_ERROR),
-            (self.planes, self.plane_of, PLANE_COLUMNS),
-            (self.poses, self.pose_of, POSE_COLUMNS),
-        ):
-            block = evaluation.jacobian[:, columns]
-            sums = np.zeros((len(keys), block.shape[1]))
-            np.add.at(sums, index, block**2)
-            for key, squares in zip(keys, sums, strict=True):
-                if key is not None:  # beams may share it
-                    total[key] = total.get(key, 0.0) + squares[: self._terms.get(key)]
-        return total
-
     def _beams(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return locations, directions and range errors of the beams."""
         k, terms = np.zeros((len(self.beams), 2)), {}
@@ -331,26 +311,18 @@ class Gathering:
     """Counts how many blocks are asked for, and evaluates all of them when they are many."""
 
     def __init__(self, blocks: Sequence["RangeBlock"]) -> None:
-        self.blocks, self._asked, self._together = blocks, 0, False
+        self.blocks, self._asked = blocks, 0
 
     def share(self, block: "RangeBlock", values: gtsam.Values) -> Share | None:
         """Return the rows of `block`, or None where it is to evaluate itself."""
         self._asked += 1
         if self._asked <= FEW_BLOCKS or len(self.blocks) <= 2 * FEW_BLOCKS:
             return None
-        if not self._together:
-            self._evaluate(values)
-        return block.prepared
-
-    def _evaluate(self, values: gtsam.Values) -> None:
-        whitenings = []
-        for block in self.blocks:
-            rows = np.arange(len(block.distance))
-            plain = Whitening(np.ones(len(rows)), 1.0, rows)
-            whitenings.append(plain if block.whitening is None else block.whitening)
+        # From now on every block has what it hands out, and asks no more.
+        whitenings = [one.whitening for one in self.blocks if one.whitening is not None]
         shared = SharedEvaluation(self.blocks, joined(whitenings))
         shared.hand_out(shared.evaluate(values))
-        self._together = True
+        return block.prepared
 
 
 @contextmanager

@@ -183,7 +183,6 @@ def calibrate_from(
     recording: Recording,
     noise: Noise,
     options: CalibrationOptions,
-    progress: Listener | None = None,
 ) -> Calibration:
     """Do as `calibrate`, perhaps from the parameters of another calibration of these beams and planes.
 
@@ -192,7 +191,7 @@ def calibrate_from(
     No start is sought where one is given. Where nothing fits, a search would try everything, which
     takes long; a model that lacks a beam or a term is known to fit less well.
     """
-    return _logged(_solved(start, recording, noise, options, progress))
+    return _logged(_solved(start, recording, noise, options, None))
 
 
 def _solved(

@@ -11,7 +11,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.model import damped_search as damped
 from handlaser_gtsam.model.block import Rows, Slot, Weights
-from handlaser_gtsam.model.reduction import Reduction
+from handlaser_gtsam.model.reduction import reduction_of
 from handlaser_gtsam.model.targets.point import POINT
 from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.outliers import consensus
@@ -265,11 +265,11 @@ class Ring:
 def test_a_search_that_creeps_along_what_is_hardly_determined_ends(monkeypatch):
     """It would take a thousand trials for a ten thousandth of a standard deviation each."""
     blocks, ends = (Ring(),), []
-    reduction = Reduction(blocks, {POINT.name: 1}, {POINT.name: True})
+    reduction = reduction_of(blocks, {POINT.name: 1}, {POINT.name: True})
     problem = damped.LeastSquares(blocks, reduction, np.ones(1), np.zeros(1), Ring.readings - 3)
     start = {POINT.name: np.array([[[0.0, 1.0, 0.0]]])}
-    for least in (0.0, damped.CREEPING_STEP):
-        monkeypatch.setattr(damped, "CREEPING_STEP", least)
+    for least in (0.0, damped.NEGLIGIBLE):
+        monkeypatch.setattr(damped, "NEGLIGIBLE", least)
         trials = []
         options = damped.LevenbergOptions(least_damping=1e-12)
         ends.append((damped.search(problem, start, options, trials.append), len(trials)))

@@ -48,7 +48,7 @@ def test_a_damped_step_solves_the_dense_equations(case, damping):
     H = white.T @ white
     dense = np.linalg.solve(H + damping * np.diag(np.diagonal(H)), -white.T @ e)
     parts = [part.ravel() for part in damped_step(problem.normal(values), np.array([damping]))]
-    beams_first = problem.reduction.structure.local == BEAM.name
+    beams_first = problem.reduction.local == BEAM.name
     assert beams_first == (case == "beams first")
     off = np.concatenate(parts[::-1] if beams_first else parts) - dense
     assert np.sqrt(off @ H @ off) < 1e-6 * np.sqrt(dense @ H @ dense)
@@ -165,14 +165,16 @@ def test_patterns_that_tile_what_stays_are_added_at_once():
     truth = bench(3, 2)
     readings = recording_of(truth, *motion("free", 36), [0, 1, 2] * 12, 1e-4).readings()
     problem, block = beam_problem([readings] * 2, 1, 1e-4)
-    structure = problem.reduction.structure
+    reduction = problem.reduction
     rows = [block.evaluate(block.begun([truth, truth])).columns]
-    assert all(plan.tiled for plan in structure.plans)
-    at_once = problem.reduction.normal(rows)
-    each = copy(structure)
-    each.plans = [replace(plan, tiled=False) for plan in structure.plans]
-    problem.reduction.structure = each
-    for one, other in zip(at_once.arrays(), problem.reduction.normal(rows).arrays(), strict=True):
+    assert all(plan.tiled for plan in reduction.plans)
+    at_once = reduction.normal(problem.blocks, rows)
+    each = copy(reduction)
+    each.plans = [copy(plan) for plan in reduction.plans]
+    for plan in each.plans:
+        plan.tiled = False
+    in_turn = each.normal(problem.blocks, rows)
+    for one, other in zip(at_once.arrays(), in_turn.arrays(), strict=True):
         assert np.array_equal(one, other)
 
 

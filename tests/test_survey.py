@@ -26,7 +26,7 @@ from handlaser_gtsam.model.block import whitened
 from handlaser_gtsam.model.condensed_shots import Stated
 from handlaser_gtsam.model.families import FAMILIES, PLANE
 from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
-from handlaser_gtsam.model.reduction import Reduction, damped_step
+from handlaser_gtsam.model.reduction import damped_step, reduction_of
 from handlaser_gtsam.model.relation import Relation
 from handlaser_gtsam.model.sensor_limits import Rejected
 from handlaser_gtsam.model.sensors.beam import BeamSensor
@@ -190,13 +190,13 @@ def test_rows_that_see_the_same_are_added_up_at_once(monkeypatch):
     J, e = BlockProblem(blocks, values, rows.unknown()).rows(blocks, values).whitened()
     dense = -np.linalg.pinv(J) @ e
     blocks, _ = blocks_of(rows.items, state.sigmas(), values, given_poses=True)
-    monkeypatch.setattr(Reduction, "_structures", {})
+    monkeypatch.setattr(reduction_module, "_KNOWN", {})
     monkeypatch.setattr(reduction_module, "FEWER", 1)
-    reduction = Reduction(blocks, rows.counts(), rows.unknown())
-    assert max(len(plan.runs) for plan in reduction.structure.plans) > 1
+    reduction = reduction_of(blocks, rows.counts(), rows.unknown())
+    assert max(len(plan.runs) for plan in reduction.plans) > 1
     columns = [whitened(block.evaluate(values), block.weights) for block in blocks]
-    step, local = damped_step(reduction.normal(columns), np.zeros(1))
-    steps = [reduction.structure.gathered(name, step, local) for name in rows.unknown()]
+    step, local = damped_step(reduction.normal(blocks, columns), np.zeros(1))
+    steps = [reduction.gathered(name, step, local) for name in rows.unknown()]
     found = np.concatenate([one.ravel() for one in steps])
     sigma = np.sqrt(np.diagonal(np.linalg.pinv(J.T @ J)))
     assert np.abs(dense).max() > 1e-5

@@ -25,7 +25,7 @@ from ..model.damped_search import LeastSquares, LevenbergOptions, Searched, sear
 from ..model.distributions import FAMILY_LEVEL, chi2_sf, gaussian_quantile, needed
 from ..model.families import FAMILIES
 from ..model.range_blocks import Ranges
-from ..model.reduction import Reduction
+from ..model.reduction import reduction_of
 from ..observability.rank import ObservabilityOptions
 from ..quantities import NEGLIGIBLE, ROWS_AT_ONCE, SINGULAR
 from ..solvers.gtsam_sums import eliminated_sums
@@ -347,8 +347,8 @@ def search_from(
 def _least_squares(
     problem: BlockProblem, blocks: Sequence[Block], K: int, values: Values
 ) -> LeastSquares:
-    reduction = Reduction(blocks, problem.counts(), problem.unknown)
-    size = reduction.structure.size + reduction.structure.members * reduction.structure.width
+    reduction = reduction_of(blocks, problem.counts(), problem.unknown)
+    size = reduction.size + reduction.members * reduction.width
     dof = max(_rows(blocks, values) - size, 1)
     return LeastSquares(tuple(blocks), reduction, np.ones(K), np.zeros(K), dof)
 
@@ -548,7 +548,7 @@ def _finished(
         GTSAM calls the system indeterminate.
     """
     task = _least_squares(problem, blocks, 1, values)
-    of = task.reduction.structure
+    of = task.reduction
     sums = eliminated_sums(task.normal(values), 1.0)
     moved = task.reduction.moved(values, sums.step[None], sums.local_step[None])
     n, d = of.size, of.width

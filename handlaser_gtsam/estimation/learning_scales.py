@@ -27,7 +27,7 @@ from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, values_of
 from ..model.block import Rows, Weights, whitened
 from ..model.families import BEAM, PLANE, POSE, modelled
 from ..model.reduced_information import ReducedInformation, eliminated
-from ..model.reduction import Reduction
+from ..model.reduction import reduction_of
 from ..model.weighting import (
     Variances,
     covariance_roots,
@@ -148,8 +148,8 @@ class LinearReadings:
             station = np.tile(np.arange(block.cells), block.beams).reshape(shape[1:])
             block.weights = Weights(root.reshape(shape), common.reshape(-1, *shape), station)
             log_det += more
-        reduction = Reduction([block], block.counts, self._unknown, PLANE.name)
-        normal = reduction.normal([whitened(Rows(self._columns), block.weights)])
+        reduction = reduction_of([block], block.counts, self._unknown, PLANE.name)
+        normal = reduction.normal([block], [whitened(Rows(self._columns), block.weights)])
         reduced = eliminated(
             normal.matrix, normal.border, normal.local, normal.gradient, normal.local_gradient
         )

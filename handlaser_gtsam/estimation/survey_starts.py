@@ -26,7 +26,7 @@ from ..model.damped_search import LeastSquares, LevenbergOptions, search
 from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, FAMILIES, MOUNT_DIM, PLANE, POSE, pose_of
 from ..model.geometry import nearest_rotation, tangent_basis
-from ..model.reduction import Reduction
+from ..model.reduction import reduction_of
 from ..model.relation import BODY
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
@@ -622,7 +622,7 @@ def _searched(
     if SENSOR.name in unknown:  # with free range errors a search may end at absurd ones
         unknown[SENSOR.name] = np.arange(SENSOR.dim) < OF_MOUNT[SENSOR.name]
     every = [*blocks, *priors_of(rows), *ties]
-    reduction = Reduction(every, rows.counts(), unknown)
+    reduction = reduction_of(every, rows.counts(), unknown)
     task = LeastSquares(tuple(every), reduction, np.ones(K), np.zeros(K), max(len(own), 1))
     steps = LAST_STEPS if thorough else FIRST_STEPS
     ended = search(task, values, LevenbergOptions(steps, least_damping=SINGULAR))

@@ -156,13 +156,6 @@ class OfProblems(Block, Protocol):
         """Return the block of some problems."""
 
 
-def structure_of(block: Block) -> tuple[object, ...]:
-    """Return what tells two blocks apart whose rows are added up in different ways."""
-    slots = tuple((s.family, s.member.tobytes(), s.columns.start) for s in block.slots())
-    station = block.weights.station
-    return slots if station is None else (*slots, station.shape, station.tobytes())
-
-
 def whitened(rows: Rows, weights: Weights) -> FloatArray:
     """Return the columns times the roots of their weights."""
     return rows.columns if weights.root is None else rows.columns * weights.root

@@ -172,7 +172,7 @@ def condensed_alike(
             rays = some_rays(rays, np.arange(len(some) * n).reshape(len(some), n))
             reading = np.stack([shots[i][1] for i in some])
             along = np.stack([shots[i][0].reshape(n, -1)[:, 0] for i in some])
-            line = along if len(kind.axes) == 2 else None  # else neighbours are not known
+            line = along if kind.flat else None  # else neighbours are not known
             ends = _condensed(shape, rays, reading, few, stated, line)
             for i, end in zip(some, ends, strict=True):
                 found[i] = end

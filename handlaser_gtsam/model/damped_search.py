@@ -18,7 +18,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_count, require_fields
 from ..progress import Trial
-from ..quantities import LARGEST_NUMBER, RESOLUTION, TINY
+from ..quantities import LARGEST_NUMBER, NEGLIGIBLE, RESOLUTION, TINY
 from .block import Block, OfProblems, Rows, Values, impossible, whitened
 from .losses import Loss
 from .reduction import Normal, Reduction, damped_step
@@ -28,9 +28,9 @@ POOR_GAIN = 0.25
 saves all but less than this part lowers it."""
 LEVEL_STEPS = 6
 """Steps in a row below the resolution of the cost that end a search: fewer occur before a minimum."""
-CREEPING_STEP, CREEPING_AFTER = 1e-6, 100
-"""A search ends, too, after the second number of trials where `LEVEL_STEPS` accepted steps running save
-less than the first each, in parts of the cost a degree of freedom. It creeps along what is not
+CREEPING_AFTER = 100
+"""A search ends, too, after that number of trials where `LEVEL_STEPS` accepted steps running save less
+than `NEGLIGIBLE` each, in parts of the cost a degree of freedom. It creeps along what is not
 determined, where it would go on for hundreds of steps; one that arrives at a minimum seldom takes 100
 trials."""
 
@@ -252,7 +252,8 @@ class LeastSquares:
     def summed(self, rows: Sequence[Rows]) -> Normal:
         """Return the normal equations of the rows of all blocks, in the unit of the blocks."""
         pairs = zip(rows, self.blocks, strict=True)
-        return self.reduction.normal([whitened(own, block.weights) for own, block in pairs])
+        white = [whitened(own, block.weights) for own, block in pairs]
+        return self.reduction.normal(self.blocks, white)
 
     def normal(self, values: Values) -> Normal:
         """Return the normal equations at values, in the unit of the blocks."""
@@ -267,7 +268,6 @@ class LeastSquares:
         return replace(
             self,
             blocks=blocks,
-            reduction=self.reduction.with_blocks(blocks),
             unit=self.unit[problems],
             rounding=self.rounding[problems],
         )
@@ -402,7 +402,7 @@ class _Search:
         white = [whitened(r, block.weights) for r, block in zip(rows, problem.blocks, strict=True)]
         robust, variance = problem.robust, problem.unit**2
         if robust is None:
-            normal = problem.reduction.normal(white)
+            normal = problem.reduction.normal(problem.blocks, white)
             cost = 0.5 * normal.squares / variance
             for r, block in zip(rows, problem.blocks, strict=True):
                 if r.impossible is not None:
@@ -430,7 +430,8 @@ class _Search:
             at.cost = at.cost - fall / self.problem.unit**2
             at.scale = scale
         first = at.white[0] * robust.roots(at.residual, scale)
-        at.normal = self.problem.reduction.normal([first, *at.white[1:]])
+        white = [first, *at.white[1:]]
+        at.normal = self.problem.reduction.normal(self.problem.blocks, white)
 
     def _advance(self) -> None:
         """Try a step of every problem."""
@@ -464,7 +465,7 @@ class _Search:
         self.iterations += better
         self._tell(decrement, trial.cost, better)
         if self.trials > CREEPING_AFTER:
-            creeps = self.at.cost - trial.cost < CREEPING_STEP / self.problem.dof * self.at.cost
+            creeps = self.at.cost - trial.cost < NEGLIGIBLE / self.problem.dof * self.at.cost
             self.creeping = np.where(better, (self.creeping + 1) * creeps, self.creeping)
         self._accept(better, trial)
         arrived |= self.creeping >= LEVEL_STEPS

@@ -1,7 +1,6 @@
 """Unit vectors and rotations; laser spots and the planes through them; the scatter of poses."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
 
@@ -37,18 +36,6 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         np.subtract(a[j] * b[k], a[k] * b[j], out=crossed[i])
     return crossed
-
-
-def steps_between(
-    first: Rotation, second: Rotation, p: FloatArray, q: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the steps from poses (first, p) to poses (second, q), the way that a hand takes.
-
-    Turns (N, 3) in the frame of the first pose [rad], the shortest ones, and shifts (N, 3) in the world
-    [m]. A hand that is ahead of a recorded pose by a part w of the way, as with a lag between poses and
-    readings, is at R exp(w turn), p + w shift.
-    """
-    return (first.inv() * second).as_rotvec(), q - p
 
 
 def rotation_cells(R: FloatArray) -> IntArray:

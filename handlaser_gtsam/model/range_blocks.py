@@ -24,7 +24,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from .block import Rows, Slot, Values, Weights
-from .families import BEAM, FAMILIES, OF_DIRECTION, bases
+from .families import FAMILIES
 from .geometry import cross
 
 FEW_RAYS = 8
@@ -271,19 +271,6 @@ def by_motion(spot: FloatArray, a: FloatArray) -> FloatArray:
     """Return derivatives (6, ...) by a turn and a shift, for covectors a at spots (3, ...)."""
     turned = cross(spot, a)
     return spread((turned, a), turned.shape[1:])
-
-
-def by_beam(
-    values: Values, member: IntArray, a: FloatArray, turning: FloatArray, s: FloatArray
-) -> FloatArray:
-    """Return derivatives of ranges s by location and direction of beams.
-
-    The covectors (3, K, G, S) are `a` of the origin of each ray, and s `turning` of its direction.
-    """
-    basis = bases(values[BEAM.name][..., OF_DIRECTION])
-    basis = of_groups(basis.reshape(*basis.shape[:2], -1), member)
-    turned = [(s * dot(basis[tangent::2], turning))[None] for tangent in range(2)]
-    return spread((a, *turned), np.broadcast_shapes(a.shape[1:], s.shape))
 
 
 def spread(parts: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:

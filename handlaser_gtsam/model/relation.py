@@ -134,15 +134,9 @@ def plane_at(
     plane: int, normal: FloatArray, offset: float, sigma: float, sigma_angle: float
 ) -> Relation:
     """Return that a plane is normal . x + offset = 0 [m] in the world."""
-    length = float(np.linalg.norm(normal))
-    m, b = normal / length, offset / length
-    T = bases(m)
-
-    def rule(x: Numbers) -> Numbers:
-        off = _foot(x) @ m[:, None] + b
-        return _joined(x[..., :3] @ T / sigma_angle, off / sigma)
-
-    return Relation(((PLANE.name, plane),), rule)
+    of_face = face(plane, 0, normal, -offset, sigma, sigma_angle).rule
+    world = np.append(np.eye(3), np.zeros(3))
+    return Relation(((PLANE.name, plane),), lambda x: of_face(x, world))
 
 
 def radius(sphere: int, value: float, sigma: float) -> Relation:

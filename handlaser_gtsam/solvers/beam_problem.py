@@ -14,13 +14,12 @@ from ..arrays import BoolArray, FloatArray, IntArray, gathered
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.readings import Readings
 from ..data.value import Value
-from ..errors import GrazingBeamError
-from ..model import GRAZING_LIMIT, cosines, linearize, scene, tangent_basis, tangent_columns
+from ..model import linearize, predicted_ranges, scene, tangent_basis, tangent_columns
 from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, parameters_of, values_of
-from ..model.block import Block, VectorPrior, whitened
+from ..model.block import Block, Values, VectorPrior
 from ..model.damped_search import LeastSquares, LevenbergOptions, RobustLoss, search
 from ..model.families import BEAM, MOUNT_DIM, OF_RANGE_ERROR, PLANE, count_unknowns, modelled
-from ..model.reduction import Normal, Reduction, damped_step
+from ..model.reduction import Normal, damped_step, reduction_of
 from ..model.weighting import Whitening
 from ..progress import tell
 from ..quantities import ROWS_AT_ONCE
@@ -121,7 +120,7 @@ def beam_problem(
         free = (MOUNT_DIM + terms) * block.beams, PLANE.dim * block.planes
         apart = block.weights.common is None and free[0] > UNKNOWNS_RATIO * free[1]
         local = BEAM.name if apart else PLANE.name
-    reduction = Reduction(blocks, block.counts, unknown, local)
+    reduction = reduction_of(blocks, block.counts, unknown, local)
     dof = max(block.size - count_unknowns(readings[0], terms), 1)
     return LeastSquares(tuple(blocks), reduction, unit, rounding, dof, robust), block
 
@@ -138,16 +137,21 @@ def linearized(
     GrazingBeamError
         A beam is parallel to its plane.
     """
-    block = BeamsOnPlanes([readings], None if whitening is None else [whitening])
-    values = block.centred(values_of([parameters]))
-    rows = block.evaluate(values)
-    if rows.impossible is not None:
-        require_steep(parameters, readings)
-    unknown: dict[str, BoolArray | bool] = {BEAM.name: modelled([terms])[0], PLANE.name: True}
-    normal = Reduction([block], block.counts, unknown, PLANE.name).normal(
-        [whitened(rows, block.weights)]
-    )
+    noise = 1.0 if whitening is None else [whitening]
+    problem, block = beam_problem([readings], terms, noise, local=PLANE.name)
+    values, normal = _normal_amid(problem, block, parameters, readings)
     return normal, values[PLANE.name][0, :, CENTRE]
+
+
+def _normal_amid(
+    problem: LeastSquares, block: BeamsOnPlanes, parameters: Parameters, readings: Readings
+) -> tuple[Values, Normal]:
+    """Return parameters as values, planes about points amid their spots, and normal equations there."""
+    values = block.centred(values_of([parameters]))
+    rows = problem.rows(values)
+    if rows[0].impossible is not None:
+        require_steep(parameters, readings)
+    return values, problem.summed(rows)
 
 
 def jacobian_columns(
@@ -203,11 +207,7 @@ def newton_step(
         A beam is parallel to its plane.
     """
     problem, block = beam_problem([readings], terms, [whitening], prior=prior)
-    values = block.centred(values_of([parameters]))
-    rows = problem.rows(values)
-    if rows[0].impossible is not None:
-        require_steep(parameters, readings)
-    normal = problem.summed(rows)
+    values, normal = _normal_amid(problem, block, parameters, readings)
     step, local = damped_step(normal, np.zeros(1))
     saved = -float((normal.gradient * step).sum() + (normal.local_gradient * local).sum())
     there = problem.reduction.moved(values, step, local)
@@ -216,10 +216,7 @@ def newton_step(
 
 def require_steep(parameters: Parameters, readings: Readings) -> None:
     """Refuse a beam that is parallel to its plane."""
-    cosine = cosines(scene(parameters, readings))
-    worst = float(cosine[np.argmin(np.abs(cosine))])
-    if not abs(worst) >= GRAZING_LIMIT:
-        raise GrazingBeamError(worst, GRAZING_LIMIT)
+    predicted_ranges(scene(parameters, readings))
 
 
 def refine(start: Parameters, readings: Readings, terms: int, iterations: int) -> Candidate | None:

@@ -240,14 +240,10 @@ def _noise_model(range_sigma: float, loss: Loss, rows: int) -> gtsam.noiseModel.
     isotropic = gtsam.noiseModel.Isotropic.Sigma(rows, range_sigma)
     if loss.name == "gaussian":
         return isotropic
-    kinds = gtsam.noiseModel.mEstimator
-    create = {
-        "huber": kinds.Huber.Create,
-        "cauchy": kinds.Cauchy.Create,
-        "tukey": kinds.Tukey.Create,
-    }[loss.name]
-    scheme = kinds.Base.ReweightScheme.Scalar
-    return gtsam.noiseModel.Robust.Create(create(loss.tuning, scheme), isotropic)
+    estimators = gtsam.noiseModel.mEstimator
+    kind = getattr(estimators, loss.name.capitalize())
+    weighing = kind.Create(loss.tuning, estimators.Base.ReweightScheme.Scalar)
+    return gtsam.noiseModel.Robust.Create(weighing, isotropic)
 
 
 def start_values(

@@ -4,8 +4,8 @@ GTSAM's own optimizers hand every Python factor a deep copy of all Values, so th
 the square of the problem. Here each step evaluates all readings at once, the factors hand out their
 rows of it, and GTSAM eliminates. Damping follows the rules of `model.damped_search`.
 
-What is minimised is an `Objective`: a calibration, or any graph of a user. Each is evaluated at values,
-and linearised there to (H + lambda diag(H)) delta = -g, which GTSAM eliminates for any damping lambda.
+What is minimised is a calibration, or any graph of a user. Each is evaluated at values (`Point`), and
+linearised there to (H + lambda diag(H)) delta = -g, which GTSAM eliminates for any damping lambda.
 In the graph of a user, planes are turned about points amid their readings (`amid_readings`).
 """
 
@@ -31,8 +31,6 @@ from .graph import CalibrationGraph
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be: less is lost in any use of them."""
-Squares = dict[int, FloatArray]
-"""For every key, the squared lengths of its Jacobian columns [standard deviations]."""
 Linear = tuple[gtsam.GaussianFactorGraph, Callable[[gtsam.VectorValues], gtsam.Values]]
 """A linear graph, and what a step of its variables leads to."""
 Step = tuple[gtsam.VectorValues, float]
@@ -53,108 +51,23 @@ class Point:
         they are unknown.
     linear : callable
         Linearises here, and says what steps lead to.
-    squares : callable
-        Returns the squares of the columns of what `linear` returns.
     """
 
     values: gtsam.Values
     cost: float
     residuals: Callable[[], tuple[FloatArray, FloatArray]]
     linear: Callable[[], Linear]
-    squares: Callable[[gtsam.GaussianFactorGraph], Squares]
-
-
-@dataclass(frozen=True, slots=True)
-class Objective:
-    """A graph with a start, and how it is evaluated.
-
-    Attributes
-    ----------
-    start : gtsam.Values
-    evaluate : callable
-        Returns the point at values; raises GrazingBeamError.
-    ordering : gtsam.Ordering
-    rounding : float
-        What rounding of the residuals adds to the cost [squared standard deviations].
-    dof : int
-        Degrees of freedom.
-    """
-
-    start: gtsam.Values
-    evaluate: Callable[[gtsam.Values], Point]
-    ordering: gtsam.Ordering
-    rounding: float
-    dof: int
-
-
-def of_calibration(problem: CalibrationGraph) -> Objective:
-    """Return the objective of a calibration, whose factors share one evaluation of the readings.
-
-    Its rounding error comes from positions and readings.
-    """
-    others = gtsam.NonlinearFactorGraph()
-    for index in range(len(problem.blocks), problem.graph.size()):
-        others.push_back(problem.graph.at(index))
-    shared, sigma = problem.shared, problem.range_sigma
-
-    def evaluate(values: gtsam.Values) -> Point:
-        point = shared.evaluate(values)
-        cost = float(problem.loss.cost(point.white / sigma).sum())
-
-        def residuals() -> tuple[FloatArray, FloatArray]:
-            residual, white = np.empty_like(point.residual), np.empty_like(point.white)
-            residual[problem.rows], white[problem.rows] = point.residual, point.white
-            return residual, white
-
-        def squares(_linear: gtsam.GaussianFactorGraph) -> Squares:
-            columns = shared.squared_columns(point)
-            return {key: column / sigma**2 for key, column in columns.items()}
-
-        def linear() -> Linear:
-            with shared.handed_out(point):
-                return problem.graph.linearize(values), values.retract
-
-        return Point(values, cost + others.error(values), residuals, linear, squares)
-
-    rows = len(problem.readings)
-    rounding = 4.0 * np.finfo(float).eps * shared.reach() / sigma
-    free = max(rows + problem.prior_rows - problem.values.dim(), 1)
-    return Objective(problem.values, evaluate, problem.ordering, rows * rounding**2, free)
-
-
-def of_graph(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Objective:
-    """Return the objective of any graph of a user: every factor evaluates itself.
-
-    A change of `ROUNDING` standard deviations of every residual counts as rounding.
-    """
-
-    def evaluate(values: gtsam.Values) -> Point:
-        cost, none = graph.error(values), (np.empty(0), np.empty(0))
-
-        def linear() -> Linear:
-            amid, points = amid_readings(graph.linearize(values), values)
-            return amid, lambda step: turned_amid_readings(values, step, points)
-
-        return Point(values, cost, lambda: none, linear, squared_columns)
-
-    factors = (graph.at(i) for i in range(graph.size()) if graph.exists(i))
-    rows = sum(factor.dim() for factor in factors)
-    ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
-    return Objective(values, evaluate, ordering, rows * ROUNDING**2, max(rows - values.dim(), 1))
 
 
 def damped_step(
-    linear: gtsam.GaussianFactorGraph,
-    ordering: gtsam.Ordering,
-    squares: Callable[[gtsam.GaussianFactorGraph], Squares],
-    damping: float,
+    linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, damping: float
 ) -> Step | None:
     """Return the step of a linear graph at a damping; None where the system is singular."""
     damped = linear
     if damping > 0.0:
         damped = gtsam.GaussianFactorGraph()
         damped.push_back(linear)
-        for key, columns in squares(linear).items():
+        for key, columns in squared_columns(linear).items():
             # Marquardt's damping needs at least a trace where a column is empty.
             size, dim = np.maximum(columns, SINGULAR * columns.max()), len(columns)
             unit = gtsam.noiseModel.Unit.Create(dim)
@@ -169,10 +82,10 @@ def damped_step(
     return (delta, decrement) if np.isfinite(decrement) else None
 
 
-def squared_columns(linear: gtsam.GaussianFactorGraph) -> Squares:
+def squared_columns(linear: gtsam.GaussianFactorGraph) -> dict[int, FloatArray]:
     """Return, for every key, the squared lengths of its whitened Jacobian columns."""
     sizes = linear.gradientAtZero()
-    total: Squares = {}
+    total: dict[int, FloatArray] = {}
     for factor in (linear.at(i) for i in range(linear.size()) if linear.exists(i)):
         first, squares = 0, (factor.jacobian()[0] ** 2).sum(axis=0)
         for key in factor.keys():  # noqa: SIM118
@@ -237,7 +150,32 @@ def levenberg_marquardt(
     GrazingBeamError
         A beam grazes its plane at the start already.
     """
-    return _minimised(of_calibration(problem), options or LevenbergOptions(), progress)
+    others = gtsam.NonlinearFactorGraph()
+    for index in range(len(problem.blocks), problem.graph.size()):
+        others.push_back(problem.graph.at(index))
+    shared, sigma = problem.shared, problem.range_sigma
+
+    def evaluate(values: gtsam.Values) -> Point:
+        point = shared.evaluate(values)
+        cost = float(problem.loss.cost(point.white / sigma).sum())
+
+        def residuals() -> tuple[FloatArray, FloatArray]:
+            residual, white = np.empty_like(point.residual), np.empty_like(point.white)
+            residual[problem.rows], white[problem.rows] = point.residual, point.white
+            return residual, white
+
+        def linear() -> Linear:
+            with shared.handed_out(point):
+                return problem.graph.linearize(values), values.retract
+
+        return Point(values, cost + others.error(values), residuals, linear)
+
+    rows = len(problem.readings)
+    # Rounding errors come from positions and readings.
+    rounding = rows * (4.0 * np.finfo(float).eps * shared.reach() / sigma) ** 2
+    free = rows + problem.prior_rows - problem.values.dim()
+    start, options = evaluate(gtsam.Values(problem.values)), options or LevenbergOptions()
+    return _minimised(evaluate, start, problem.ordering, rounding, free, options, progress)
 
 
 def optimize(
@@ -276,8 +214,24 @@ def optimize(
     _require_startable(graph, values)
     options = LevenbergOptions() if options is None else options
     require_kind("options", options, LevenbergOptions)
+    require_progress(progress)
+
+    def evaluate(values: gtsam.Values) -> Point:
+        cost, none = graph.error(values), (np.empty(0), np.empty(0))
+
+        def linear() -> Linear:
+            amid, points = amid_readings(graph.linearize(values), values)
+            return amid, lambda step: turned_amid_readings(values, step, points)
+
+        return Point(values, cost, lambda: none, linear)
+
+    rows = sum(graph.at(i).dim() for i in range(graph.size()) if graph.exists(i))
+    # A change of `ROUNDING` standard deviations of every residual counts as rounding.
+    rounding, free = rows * ROUNDING**2, rows - values.dim()
     try:
-        return _minimised(of_graph(graph, values), options, progress)
+        ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
+        start = evaluate(gtsam.Values(values))
+        return _minimised(evaluate, start, ordering, rounding, free, options, progress)
     except RuntimeError as error:
         if "Attempting to retrieve" not in str(error):
             raise
@@ -308,16 +262,20 @@ def linearize(problem: CalibrationGraph, values: gtsam.Values) -> gtsam.Gaussian
 
 
 def _minimised(
-    objective: Objective,
+    evaluate: Callable[[gtsam.Values], Point],
+    point: Point,
+    ordering: gtsam.Ordering,
+    rounding: float,
+    free: int,
     options: LevenbergOptions,
     progress: Callable[[Trial], None] | None,
 ) -> LevenbergResult:
-    """Take steps to the end; Ctrl-C ends it with the best values so far."""
-    require_progress(progress)
-    point = objective.evaluate(gtsam.Values(objective.start))
-    stopping = StoppingRule(
-        options.step_tolerance, options.least_damping, objective.rounding, objective.dof
-    )
+    """Take steps from a point to the end; Ctrl-C ends it with the best values so far.
+
+    `rounding` is what rounding of the residuals adds to the cost [squared standard deviations], and
+    `free` the degrees of freedom.
+    """
+    stopping = StoppingRule(options.step_tolerance, options.least_damping, rounding, max(free, 1))
     history: list[Trial] = []
     accepted, damping = 0, np.array(options.least_damping)
     status: Status = "max_iterations"
@@ -326,14 +284,14 @@ def _minimised(
     try:
         linear, moved = point.linear()
         while len(history) < options.max_iterations:
-            step = damped_step(linear, objective.ordering, point.squares, float(damping))
+            step = damped_step(linear, ordering, float(damping))
             decrement = np.array(-1.0 if step is None else step[1])  # negative for no step
             before, arrived, trial = np.array(point.cost), False, None
             if step is not None:
                 arrived = bool(stopping.little_left(decrement, damping, before))
                 hidden = bool(decrement <= stopping.resolution(before))
                 last = arrived and hidden
-                trial = _tried(objective, point, moved(step[0]), step[1], last=last)
+                trial = _tried(evaluate, point, moved(step[0]), step[1], last=last)
             cost = np.array(np.inf if trial is None else trial.cost)
             gain = stopping.gain(decrement, before, cost)
             better = trial is not None and bool(gain > 0.0)
@@ -348,7 +306,7 @@ def _minimised(
             if level and damping > options.least_damping:
                 # Damped steps may be short far from any minimum, as where beams nearly graze planes.
                 here, least = point.linear()[0], options.least_damping
-                left = damped_step(here, objective.ordering, point.squares, least)
+                left = damped_step(here, ordering, least)
                 if left is None or left[1] > OPTIMAL**2:
                     status = "stalled"
                     message = f"steps no longer lower the cost after {count(accepted, 'step')}"
@@ -379,17 +337,22 @@ def _minimised(
 
 
 def _tried(
-    objective: Objective, point: Point, values: gtsam.Values, decrement: float, *, last: bool
+    evaluate: Callable[[gtsam.Values], Point],
+    point: Point,
+    values: gtsam.Values,
+    decrement: float,
+    *,
+    last: bool,
 ) -> Point | None:
     """Return the point after a step; None where a beam grazes its plane, or a ray misses its target.
 
     A last step that is too short to show in the cost is evaluated when its residuals are asked for.
     """
     if last:
-        cost, there = max(point.cost - 0.5 * decrement, 0.0), objective.evaluate
-        return replace(point, values=values, cost=cost, residuals=lambda: there(values).residuals())
+        cost, there = max(point.cost - 0.5 * decrement, 0.0), lambda: evaluate(values).residuals()
+        return replace(point, values=values, cost=cost, residuals=there)
     try:
-        trial = objective.evaluate(values)
+        trial = evaluate(values)
     except (GrazingBeamError, MissedTargetError):
         return None
     return trial if np.isfinite(trial.cost) else None

@@ -7,7 +7,9 @@ are the same, is only counted.
 """
 
 from collections.abc import Callable
+from functools import partial
 
+from ...arrays import FloatArray
 from . import (
     beam_on_plane,
     displaced,
@@ -25,17 +27,8 @@ from .held_range_error import members as held
 from .incidence import column as of_incidence
 
 OF_READINGS = {"incidence": of_incidence, "cubic": cubic, "carry-over": carried_over}
-"""Columns of the errors that a reading has by itself, whenever it is taken."""
-MEMBERS: dict[str, Callable[[SeenStations], Everywhere | OnPlanes]] = {
-    "linear": lambda stations: held(stations, 0),
-    "quadratic": lambda stations: held(stations, 1),
-    "sag": sag.members,
-    "drift": drift.members,
-    "displaced": displaced.members,
-    "tool-displaced": tool_displaced.members,
-    "beam-on-plane": beam_on_plane.members,
-}
-"""Columns of errors that have a size for each beam or plane."""
+"""Errors that a reading has by itself, whenever it is taken: columns (N,) for the stations and the
+reading [m] at which the size is meant."""
 TWISTS = {
     "lag": lag.twists,
     "tool-displaced": tool_displaced.twists,
@@ -43,14 +36,32 @@ TWISTS = {
     "translation-scale": translation_scale.twists,
 }
 """Errors of the hand poses."""
+
+
+def _of_reading(
+    column: Callable[[SeenStations, float], FloatArray], stations: SeenStations
+) -> Everywhere:
+    return Everywhere(column(stations, float(stations.readings.level.max()))[:, None])
+
+
+def _of_poses(twists: Callable[[SeenStations], FloatArray], stations: SeenStations) -> Everywhere:
+    return Everywhere(stations.by_poses(twists(stations)))
+
+
+MEMBERS: dict[str, Callable[[SeenStations], Everywhere | OnPlanes]] = {
+    **{code: partial(_of_reading, column) for code, column in OF_READINGS.items()},
+    **{code: partial(_of_poses, twists) for code, twists in TWISTS.items()},
+    "linear": lambda stations: held(stations, 0),
+    "quadratic": lambda stations: held(stations, 1),
+    "sag": sag.members,
+    "drift": drift.members,
+    "displaced": displaced.members,
+    "tool-displaced": tool_displaced.members,  # in place of what follows from its twists
+    "beam-on-plane": beam_on_plane.members,
+}
+"""Columns of all errors that a recording can show; some have a size for each beam or plane."""
 EFFECTS = {
-    code: Effect(
-        code=code,
-        members=MEMBERS.get(code),
-        of_readings=OF_READINGS.get(code),
-        twists=TWISTS.get(code),
-        **stated,
-    )
+    code: Effect(code=code, members=MEMBERS.get(code), twists=TWISTS.get(code), **stated)
     for code, stated in STATED.items()
 }
 """All systematic errors by their codes."""

@@ -69,7 +69,10 @@ class SeenStations:
         plates: tuple[FloatArray, float] | None = None,
     ) -> None:
         self.at, self.readings, self.position, self.channel = at, readings, position, channel
-        self.given_middle, self.given_plates = middle, plates
+        if middle is not None:
+            self.middle = middle
+        if plates is not None:
+            self.plates = plates
         self.held = np.zeros(at.range_errors.shape, dtype=bool)
 
     @cached_property
@@ -101,8 +104,7 @@ class SeenStations:
     @cached_property
     def middle(self) -> FloatArray:
         """Orientation (3, 3) of the hand from which turns count."""
-        given = self.given_middle
-        return np.asarray(self.rotations.mean().as_matrix() if given is None else given)
+        return np.asarray(self.rotations.mean().as_matrix())
 
     @cached_property
     def rotations(self) -> Rotation:
@@ -117,8 +119,6 @@ class SeenStations:
     @cached_property
     def plates(self) -> tuple[FloatArray, float]:
         """The middle (P, 3) of each plate, and the squared distance of the farthest spot [m^2]."""
-        if self.given_plates is not None:
-            return self.given_plates
         middles = self.readings.plane_means(self.spots)
         square = ((self.spots - middles[self.readings.plane]) ** 2).sum(axis=1)
         return middles, max(float(square.max()), np.finfo(float).tiny)
@@ -200,14 +200,10 @@ class Effect:
     ----------
     code : str
     members : callable, optional
-        Returns its columns at the stations; None where `of_readings` or `twists` give them. An error
-        that has none of the three is one that no recording can show.
-    of_readings : callable, optional
-        Instead of `members`, for an error that a reading has by itself, whenever it is taken: returns
-        its column (N,) for the stations and the reading [m] at which its size is meant.
+        Returns its columns at the stations; None of an error that no recording can show.
     twists : callable, optional
         Of an error of the hand poses: returns what moves the hands (omega, u) (S, 6, c) from their
-        recorded poses, one a unit of size; its columns follow where there are no `members`.
+        recorded poses, one a unit of size.
     phrase, remedy, reveal, confounded, anywhere : str
         The words for it.
     unit, of_sensor, of_cell, power, least_beams, is_k1, term, across, in_order, of_mean
@@ -216,7 +212,6 @@ class Effect:
 
     code: str
     members: Callable[[SeenStations], Everywhere | OnPlanes] | None = None
-    of_readings: Callable[[SeenStations, float], FloatArray] | None = None
     twists: Callable[[SeenStations], FloatArray] | None = None
     phrase: str
     remedy: str
@@ -236,18 +231,12 @@ class Effect:
 
     def at(self, stations: SeenStations) -> Everywhere | OnPlanes | None:
         """Return its members at the stations; None where no recording can show it."""
-        if self.of_readings is not None:
-            column = self.of_readings(stations, float(stations.readings.level.max()))
-            return Everywhere(column[:, None])
-        if self.members is None and self.twists is not None:
-            return Everywhere(stations.by_poses(self.twists(stations)))
         return None if self.members is None else self.members(stations)
 
     @property
     def can_be_freed(self) -> bool:
         """Whether a recording can show it, and it is no unknown by another option."""
-        columns = self.members, self.of_readings, self.twists
-        return self.term is None and any(one is not None for one in columns)
+        return self.term is None and self.members is not None
 
     def concerns(self, stations: SeenStations) -> bool:
         """Tell whether there can be such an error of these beams and this model."""

@@ -1,14 +1,13 @@
 """A lag between poses and readings: the hand is ahead of its recorded pose by a part of a step.
 
 That is what a recording of stations shows of it. Of a log of a moving hand, in which readings and poses
-have times, the lag is known in seconds (`files.logs.lag`); what it does to a pose is the same,
-`geometry.steps_between`.
+have times, the lag is known in seconds (`files.logs.lag`). What it does to a pose is the same: a hand
+that is ahead by a part w of a step is at R exp(w turn), p + w shift.
 """
 
 import numpy as np
 
 from ...arrays import FloatArray
-from ..geometry import steps_between
 from .effect import SeenStations
 
 
@@ -28,7 +27,6 @@ def twists(stations: SeenStations) -> FloatArray:
     count = np.maximum((before != order).astype(int) + (after != order), 1)[:, None]
     step = np.zeros((len(row), 6))
     turns = stations.rotations
-    turn, shift = steps_between(turns[before], turns[after], t[before], t[after])
-    step[order, :3] = turn / count
-    step[order, 3:] = np.einsum("mij,mi->mj", R[order], shift / count)
+    step[order, :3] = (turns[before].inv() * turns[after]).as_rotvec() / count
+    step[order, 3:] = np.einsum("mij,mi->mj", R[order], (t[after] - t[before]) / count)
     return step[..., None]

@@ -19,8 +19,8 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...quantities import TINY
 from ..block import Values
-from ..families import BEAM
-from ..range_blocks import Rays, by_beam, dot, members
+from ..families import BEAM, OF_DIRECTION, bases
+from ..range_blocks import Rays, dot, members, of_groups, spread
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,4 +60,7 @@ class BeamSensor:
         u = rays.direction
         # (v x dv) x u = dv (v . u) - v (dv . u), for dv along both tangent vectors.
         turning = dot(axis, u) * a - dot(axis, a) * u
-        return by_beam(values, self.member, a, turning, s)
+        basis = bases(values[self.family][..., OF_DIRECTION])
+        basis = of_groups(basis.reshape(*basis.shape[:2], -1), self.member)
+        turned = [(s * dot(basis[tangent::2], turning))[None] for tangent in range(2)]
+        return spread((a, *turned), np.broadcast_shapes(a.shape[1:], s.shape))
