@@ -501,7 +501,7 @@ def _determined_by(
         words,
         help_,
         parts,
-        found.indices(),
+        found.indices,
         weakest(found, parameters, names),
     )
     return determined, image, up
