@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..arrays import FloatArray
-from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..estimation.scales import RANGE, NoiseComponent
@@ -146,7 +146,17 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         systematic = tuple(
             replace(one, explained_by=DISPLACED) if one.found else one for one in systematic
         )
-    result = Calibration(
+    at, found, prior = solution.at, solution.posterior, solution.prior
+    at_scales = None
+    if whole is not None and (found is not None or in_common is not None):
+        at_scales = ScaledSolution(
+            problem.in_world(solution.parameters),
+            joint_covariance(problem, replace(solution, posterior=None), fit, freed),
+            prior,
+            np.empty(0) if freed is None else freed.sigmas,
+        )
+    unit = unit_sigma(solution, fit.range_sigma_given, fit.sigma0)
+    return Calibration(
         status,
         message,
         (
@@ -167,17 +177,22 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         fit,
         determined,
         StartReport(selection.method, selection.tried),
-        solution.at.iterations,
-        solution.at.status == "interrupted",
+        at.iterations,
+        at.status == "interrupted",
+        variances=_variances(problem, solution, fit),
+        noise_estimate=_noise_estimate(problem, solution),
         covariance=whole,
         shared=in_common,
         correlations=() if whole is None else strong_correlations(whole),
+        at_scales=at_scales,
+        learned=None if found is None else found.learned,
+        errors_by_pose=by_pose,
         systematic=systematic,
+        range_error_prior=None if prior is None else prior.part(np.argsort(problem.order.beams)),
+        cost=at.cost * (at.sigma / unit) ** 2 if unit else at.cost,
         sensor_kind=problem.sensor.kind,
         effects=effects,
-        errors_by_pose=by_pose,
     )
-    return with_scales(result, problem, solution, freed)
 
 
 def _wrong_and_way(
@@ -558,48 +573,6 @@ def joint_covariance(
     joint = shared.following_poses(joint.grown(*growth))
     joint = replace(joint, origins=joint.origins + origins)
     return joint.arranged(problem.names.beams, problem.names.planes)
-
-
-def with_scales(
-    result: Calibration,
-    problem: Problem,
-    solution: Solution,
-    freed: "Freed | None" = None,
-) -> Calibration:
-    """Return a result with the scales of noise and range errors, and what follows from them.
-
-    Parameters
-    ----------
-    result : Calibration
-    problem : Problem
-    solution : Solution
-    freed : Freed, optional
-        Systematic errors that were unknowns.
-    """
-    fit, found, at, prior = result.fit, solution.posterior, solution.at, solution.prior
-    unit = unit_sigma(solution, fit.range_sigma_given, fit.sigma0)
-    if prior is not None:
-        beams = np.argsort(problem.order.beams)
-        prior = RangeErrorPrior(
-            prior.sigma[beams], None if prior.mean is None else prior.mean[beams]
-        )
-    result = replace(
-        result,
-        variances=_variances(problem, solution, fit),
-        noise_estimate=_noise_estimate(problem, solution),
-        range_error_prior=prior,
-        cost=at.cost * (at.sigma / unit) ** 2 if unit else at.cost,
-    )
-    result = replace(result, learned=None if found is None else found.learned)
-    if result.covariance is None or (found is None and result.shared is None):
-        return result
-    at_scales = ScaledSolution(
-        problem.in_world(solution.parameters),
-        joint_covariance(problem, replace(solution, posterior=None), fit, freed),
-        solution.prior,
-        np.empty(0) if freed is None else freed.sigmas,
-    )
-    return replace(result, at_scales=at_scales)
 
 
 def _variances(problem: Problem, solution: Solution, fit: Fit) -> Variances | None:
