@@ -240,7 +240,7 @@ def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
     tests = sum(tried for _, _, tried in falls)
     projection = Projection(rows, rows.prior)
     priors = projection.prior_residuals(rows.at)
-    _, left, squares, _ = projection.perpendicular(rows.residual[:, None], priors)
+    left, squares, _ = projection.perpendicular(rows.residual[:, None], priors)
     rest = left[:, 0], float(squares[0])
 
     def tried(one: Suspect, split: int) -> Move:
@@ -346,7 +346,7 @@ def _tried(
     columns[one.rows] = one.J * (rows.position[one.rows] >= split)[:, None]
     unit = np.maximum(np.sqrt((columns**2).sum(axis=0)), TINY)
     columns /= unit
-    _, weighed, _, _ = projection.perpendicular(columns)
+    weighed = projection.perpendicular(columns)[0]
     # Products with the columns themselves count what the priors bear of them, too.
     values, axes = np.linalg.eigh(columns.T @ weighed)
     kept = values > NEGLIGIBLE  # columns of length 1: the unknowns explain the rest

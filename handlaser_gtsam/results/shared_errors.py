@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag, cholesky, solve_triangular
+from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import coo_array, csr_array
 
 from ..arrays import FloatArray, IntArray, renumbered
@@ -31,7 +31,7 @@ from ..data.value import Value
 from ..errors import CalibrationWarning
 from ..estimation.errors_by_pose import ErrorsByPose, SizesByPose
 from ..model.families import BEAM, OF_DIRECTION, PLANE, POSE, modelled
-from ..model.joint import JointCovariance
+from ..model.joint import JointCovariance, beams_lift
 from ..model.weighting import moved_with_poses
 from ..quantities import KNOWN, MANY_OUTLIERS, TINY
 from .dependence import INDEPENDENT, Dependence
@@ -206,7 +206,7 @@ class InCommon(Value):
         root = _root(alone.beams)
         half = solve_triangular(root, with_stops.beams - alone.beams, lower=True)
         stops = solve_triangular(root, half.T, lower=True)
-        lift = block_diag(*alone.beam_lifts()).reshape(-1, BEAM.size, len(root))
+        lift = beams_lift(alone.beam_bases, alone.terms).reshape(-1, BEAM.size, len(root))
         return cls(lift, root, stops, factor, whole.beams - factor * with_stops.beams)
 
     def arranged(self, order: Sequence[int]) -> "InCommon":
