@@ -213,8 +213,8 @@ def image_in_plane(
 
     Every beam (r, v) becomes (H r, H v) with H = I - 2 h h', and every plane is reflected about the
     height of the hand. An image fits less well where chi2 is larger by more than the square of
-    `FAR_SIGMAS`, and it is the same where no beam leans by more than `COUNTED_TURN`. Arguments as in
-    `some_plane_leans`.
+    `FAR_SIGMAS`, and it is the same where no beam leans by more than `COUNTED_TURN`, and where the hand
+    never turns (h is zero). Arguments as in `some_plane_leans`.
     """
     h, up = motion.axis, motion.upright
     if (np.abs(parameters.directions @ h) < np.sin(COUNTED_TURN)).all():
@@ -445,8 +445,7 @@ def check_motion(recording: Recording) -> MotionCheck:
             observed = observability(at, readings, 0, sigma)
             leans = some_plane_leans(motion, at, readings, sigma)
             parts = parts if leans and parts else open_parts(observed, at, names)
-            if motion.axis.any():
-                image = image_in_plane(motion, at, readings, sigma)
+            image = image_in_plane(motion, at, readings, sigma)
     words, help_ = named(motion, parts, leans=leans, k1_free=None, image=image is not None)
     moved = float(np.abs(readings.world_t_hand).max())
     if not parts and moved < LEAST_MOVE * readings.typical_range():

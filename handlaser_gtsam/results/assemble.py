@@ -467,8 +467,7 @@ def _determined_by(
     squares = float(solution.at.residual @ solution.at.residual)
     if motion is not None:
         leans = some_plane_leans(motion, parameters, used, sigma, how)
-        if motion.axis.any():
-            image = image_in_plane(motion, parameters, used, sigma, how)
+        image = image_in_plane(motion, parameters, used, sigma, how)
     k1_free, up = solution.terms > 0 and solution.prior is None, np.zeros(3)
     second_order = motion is not None and (not leans or (k1_free and motion.kind == "planar"))
     if motion is not None and second_order and not found.full:

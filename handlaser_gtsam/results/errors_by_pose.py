@@ -82,21 +82,20 @@ def _likelihood(
 ) -> Likelihood:
     """Return what rows say of errors by pose beside columns (N, q) of errors that were found."""
     sigma = projection.how.sigma
-    residual, priors = rows.residual[:, None], projection.prior_residuals(rows.at)
-    heavy, square, _ = projection.perpendicular(residual, priors)
+    heavy, square = projection.of_residuals(rows)
     beside = projection.perpendicular(found)[0]
     inverse, along = np.linalg.inv(found.T @ beside), unit.products(beside)
     size = inverse @ (found.T @ heavy)
     rest = [projection.weighed_rest(F) for F in unit.columns]
     G = np.concatenate([unit.products(F) for F in rest], axis=1) - along @ inverse @ along.T
-    left = float(square[0] - (found.T @ heavy * size).sum())
+    left = square - float((found.T @ heavy) @ size)
     constant = projection.log_det_inverse() - projection.how.log_det()
     unknowns = projection.unknowns + found.shape[1]
     constant -= 2.0 * float(len(rows.residual) - unknowns) * np.log(sigma)
     constant += float(np.linalg.slogdet(inverse)[1])
     return Likelihood(
         G / sigma**2,
-        (unit.products(heavy) - along @ size)[:, 0] / sigma**2,
+        (unit.products(heavy) - along @ size) / sigma**2,
         left / sigma**2,
         dof,
         0.5 * constant,

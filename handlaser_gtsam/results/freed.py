@@ -197,7 +197,7 @@ def with_freed(
     """
     largest = float(problem.readings.distance[selection.used].max())
     prior = prior_sizes(options.free, options.sensor, largest)
-    recorded, first = problem, selection
+    recorded = problem
     size: dict[Member, float] = {}
     rank = 0
     for _ in range(MOST_ROUNDS):
@@ -222,7 +222,7 @@ def with_freed(
         except InputError:  # sizes beyond sense leave readings that no sensor gives
             break
         problem = corrected
-        selection = replace(again, method=first.method, tried=first.tried)
+        selection = replace(again, method=selection.method, tried=selection.tried)
     return problem._replace(more=freed.rank), selection, freed._replace(settled=settled)
 
 

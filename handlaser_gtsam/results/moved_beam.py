@@ -239,9 +239,7 @@ def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
     suspects, falls = [*suspects, *others], [*falls, *map(alone, others)]
     tests = sum(tried for _, _, tried in falls)
     projection = Projection(rows, rows.prior)
-    priors = projection.prior_residuals(rows.at)
-    left, squares, _ = projection.perpendicular(rows.residual[:, None], priors)
-    rest = left[:, 0], float(squares[0])
+    rest = projection.of_residuals(rows)
 
     def tried(one: Suspect, split: int) -> Move:
         return _tried(one, split, rows, projection, rest)._replace(dof=float(dof), tests=tests)

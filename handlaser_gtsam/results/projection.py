@@ -237,24 +237,25 @@ class Projection:
         step = self.following(self.J.T @ self.how.weighed(columns))
         return self.how.weighed(columns - self.J @ step)
 
-    def perpendicular(
-        self, columns: FloatArray, pulled: FloatArray | None = None
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what the `rest` of columns (N, q) weighs, its squares, and how the beams move.
+    def perpendicular(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what the `rest` of columns (N, q) weighs, and how the beams move.
 
         Returns
         -------
         heavy : (N, q)
             The rest times sigma^2 inv(C).
-        squares : (q,)
-            Of the whitened columns, rows of the prior included.
         moved : (7 B, q)
             The beams' part of the unknowns that explain what is not left.
         """
-        rest, pulled, moved = self.rest(columns, pulled)
+        rest, _, moved = self.rest(columns)
+        return self.how.weighed(rest), moved[: self.pull.size]
+
+    def of_residuals(self, rows: LinearRows) -> tuple[FloatArray, float]:
+        """Return what the `rest` of the residuals (N,) weighs, and its square, with that of priors."""
+        residual, priors = rows.residual[:, None], self.prior_residuals(rows.at)
+        rest, pulled, _ = self.rest(residual, priors)
         heavy = self.how.weighed(rest)
-        squares = (rest * heavy).sum(axis=0) + (pulled**2).sum(axis=0)
-        return heavy, squares, moved[: self.pull.size]
+        return heavy[:, 0], float((rest * heavy).sum() + (pulled**2).sum())
 
 
 class CoupledProjection(Projection):

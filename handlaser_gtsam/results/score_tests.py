@@ -163,11 +163,10 @@ class ScoreTests:
     def _adjusted(self, projection: Projection) -> AdjustedMembers:
         """Take out of all members, and of the residuals, what the unknowns explain."""
         moved, left = zip(*(kind.adjusted_by(projection) for kind in self.kinds), strict=True)
-        residual, priors = self.rows.residual[:, None], projection.prior_residuals(self.rows.at)
-        heavy, squares, _ = projection.perpendicular(residual, priors)
-        score = self.products(heavy)[:, 0]
+        heavy, square = projection.of_residuals(self.rows)
+        score = self.products(heavy[:, None])[:, 0]
         return AdjustedMembers(
-            projection, np.concatenate(left), np.concatenate(moved), score, float(squares[0])
+            projection, np.concatenate(left), np.concatenate(moved), score, square
         )
 
     def _determined(self, scale: FloatArray) -> BoolArray:
@@ -350,7 +349,7 @@ class CommonErrors:
 
     def adjusted_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
         """Return how beams follow the members (m, 7 B), and the adjusted squares (m,)."""
-        heavy, _, moved = projection.perpendicular(self.columns)
+        heavy, moved = projection.perpendicular(self.columns)
         return (moved @ self.mix).T, self._squares(heavy)
 
     def growth_by(self, shared: SharedErrors, projection: Projection) -> FloatArray:
