@@ -251,7 +251,7 @@ class Projection:
         return self.how.weighed(rest), moved[: self.pull.size]
 
     def of_residuals(self, rows: LinearRows) -> tuple[FloatArray, float]:
-        """Return what the `rest` of the residuals (N,) weighs, and its square, with that of priors."""
+        """Return what the `rest` of the residuals (N,) weighs, and its square, the priors included."""
         residual, priors = rows.residual[:, None], self.prior_residuals(rows.at)
         rest, pulled, _ = self.rest(residual, priors)
         heavy = self.how.weighed(rest)
