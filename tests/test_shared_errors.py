@@ -200,7 +200,7 @@ def test_score_tests_count_what_stations_share():
     number = {code: np.flatnonzero(tests.codes == code)[0] for code in ("incidence", "drift")}
     assert ratio[number["incidence"]] > 1.3
     assert ratio[number["drift"]] < 1.1
-    heavy = tests.projection.perpendicular(tests.column(number["incidence"])[:, None])[1]
+    heavy = tests.projection.perpendicular(tests.column(number["incidence"])[:, None])[0]
     more = shared.variances(heavy)[0, 0] / (rows.how.sigma**2 * tests.left[number["incidence"]])
     assert ratio[number["incidence"]] == pytest.approx(np.sqrt(1.0 + more))
 

@@ -38,6 +38,11 @@ class RangeErrorPrior(Value):
         off = range_errors if self.mean is None else range_errors - self.mean
         return float(((off / self.sigma) ** 2).sum())
 
+    def part(self, beams: ArrayLike) -> "RangeErrorPrior":
+        """Return the prior of some beams, by their indices."""
+        i = np.asarray(beams)
+        return RangeErrorPrior(self.sigma[i], None if self.mean is None else self.mean[i])
+
     def rows(self, terms: int) -> int:
         """Return how many of the first `terms` range errors of all beams something is known of."""
         return int(np.isfinite(self.sigma[:, :terms]).sum())

@@ -120,9 +120,7 @@ class JointCovariance(Value):
         coupled : bool
             Whether to couple planes with each other for known beams, whose number is squared then.
         """
-        offsets = planes[:, 3] + np.einsum("pi,piq->pq", self.origins, planes[:, :3])
-        tilts = np.einsum("pij,piq->pjq", self.plane_bases, planes[:, :3])
-        own = np.concatenate((tilts, offsets[:, None]), axis=1) + self.response @ beams
+        own = plane_steps(self.plane_bases, self.origins, planes) + self.response @ beams
         unit = np.sqrt(np.diagonal(self.beams))
         unit = np.where(unit > 0.0, unit, 1.0)
         inverse = np.linalg.pinv(self.beams / np.outer(unit, unit), rcond=SINGULAR, hermitian=True)
@@ -263,6 +261,13 @@ def plane_lifts(bases: FloatArray, origins: FloatArray) -> FloatArray:
     lifts[..., 3, :2] = -(origins[..., None, :] @ bases)[..., 0, :]
     lifts[..., 3, 2] = 1.0
     return lifts
+
+
+def plane_steps(bases: FloatArray, origins: FloatArray, planes: FloatArray) -> FloatArray:
+    """Return (P, 3, q) from which `plane_lifts` leads to changes (P, 4, q) of (n, b)."""
+    offsets = planes[:, 3] + np.einsum("pi,piq->pq", origins, planes[:, :3])
+    tilts = np.einsum("pij,piq->pjq", bases, planes[:, :3])
+    return np.concatenate((tilts, offsets[:, None]), axis=1)
 
 
 def _indices(names: tuple[str, ...], wanted: Sequence[str] | None, kind: str) -> list[int]:

@@ -213,34 +213,42 @@ def image_in_plane(
 
     Every beam (r, v) becomes (H r, H v) with H = I - 2 h h', and every plane is reflected about the
     height of the hand. An image fits less well where chi2 is larger by more than the square of
-    `FAR_SIGMAS`, and it is the same where no beam leans by more than `COUNTED_TURN`. Arguments as in
-    `some_plane_leans`.
+    `FAR_SIGMAS`, and it is the same where no beam leans by more than `COUNTED_TURN`, and where the hand
+    never turns (h is zero). Arguments as in `some_plane_leans`.
     """
     h, up = motion.axis, motion.upright
     if (np.abs(parameters.directions @ h) < np.sin(COUNTED_TURN)).all():
         return None
-    H = np.eye(3) - 2.0 * np.outer(h, h)
-    lean = (parameters.normals * up).sum(axis=1)
-    height = (readings.plane_means(readings.world_t_hand) * up).sum(axis=1)
-    image = Parameters(
-        parameters.locations @ H,
-        parameters.directions @ H,
-        parameters.range_errors,
-        parameters.normals - 2.0 * lean[:, None] * up,
-        parameters.offsets + 2.0 * height * lean,
-    )
-
-    def squares(at: Parameters) -> float:
-        e = model.residuals_or_infinite(at, readings)
-        e = e if how is None or not np.isfinite(e).all() else how.apply(e)
-        return float(e @ e)
-
-    most = squares(parameters) + (FAR_SIGMAS * range_sigma) ** 2
-    if squares(image) <= most:
+    image = reflected(parameters, readings, np.outer(h, h), up[:, :, None] * up[:, None])
+    most = squares_of(parameters, readings, how) + (FAR_SIGMAS * range_sigma) ** 2
+    if squares_of(image, readings, how) <= most:
         return image
     # Moves and turns that are too small to count change it a little.
     found = refine(image, readings, terms=0, iterations=MOST_ROUNDS)
-    return found.parameters if found is not None and squares(found.parameters) <= most else None
+    if found is None or squares_of(found.parameters, readings, how) > most:
+        return None
+    return found.parameters
+
+
+def reflected(
+    at: Parameters, readings: Readings, hand: FloatArray, world: FloatArray
+) -> Parameters:
+    """Return the mirror image of beams and planes about the mean hand position of each plane.
+
+    What turns around is the part onto which `hand` (3, 3) projects, and `world` ((P,) 3, 3) before each
+    plane.
+    """
+    H, turned = np.eye(3) - 2.0 * hand, 2.0 * (world @ at.normals[:, :, None])[:, :, 0]
+    offsets = at.offsets + (readings.plane_means(readings.world_t_hand) * turned).sum(axis=1)
+    beams = at.locations @ H, at.directions @ H, at.range_errors
+    return Parameters(*beams, at.normals - turned, offsets)
+
+
+def squares_of(at: Parameters, readings: Readings, how: Whitening | None) -> float:
+    """Return the sum of whitened squares [m^2], infinite where a beam grazes its plane."""
+    e = model.residuals_or_infinite(at, readings)
+    e = e if how is None or not np.isfinite(e).all() else how.apply(e)
+    return float(e @ e)
 
 
 def named(
@@ -437,8 +445,7 @@ def check_motion(recording: Recording) -> MotionCheck:
             observed = observability(at, readings, 0, sigma)
             leans = some_plane_leans(motion, at, readings, sigma)
             parts = parts if leans and parts else open_parts(observed, at, names)
-            if motion.axis.any():
-                image = image_in_plane(motion, at, readings, sigma)
+            image = image_in_plane(motion, at, readings, sigma)
     words, help_ = named(motion, parts, leans=leans, k1_free=None, image=image is not None)
     moved = float(np.abs(readings.world_t_hand).max())
     if not parts and moved < LEAST_MOVE * readings.typical_range():

@@ -35,7 +35,7 @@ from .. import model
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
-from ..model.equation import plausible_range_errors, residuals_or_infinite
+from ..model.equation import plausible_range_errors
 from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..model.reduction import damped_step
 from ..model.weighting import Whitening
@@ -43,7 +43,7 @@ from ..quantities import KNOWN, MOST_ROUNDS, NEGLIGIBLE, ROUNDING
 from ..solvers.beam_problem import LEAST_DAMPING, linearized, moved, refine, refine_many
 from ..starts.directions import direction_starts, random_starts
 from ..starts.growing import EXCERPT_READINGS, grow
-from .motion import poor_motion, some_plane_leans
+from .motion import poor_motion, reflected, some_plane_leans, squares_of
 from .rank import Observability, ObservabilityOptions, observability
 
 
@@ -79,10 +79,7 @@ class Judge(NamedTuple):
 
     def squares(self, parameters: Parameters) -> float:
         """Return the sum of whitened squares [m^2], infinite where a beam grazes its plane."""
-        e = residuals_or_infinite(parameters, self.readings)
-        if self.whitening is not None and np.isfinite(e).all():
-            e = self.whitening.apply(e)
-        return float(e @ e)
+        return squares_of(parameters, self.readings, self.whitening)
 
     def seen(self, parameters: Parameters) -> Observability | None:
         """Return what is determined at parameters that fit; None where they do not.
@@ -207,10 +204,10 @@ def mirror_image_fits(
 
     Range errors stay as they are: k1 = -2 would turn every reading, and any image, around.
     """
-    image = _image(solution, readings)
+    image = reflected(solution, readings, np.eye(3), np.eye(3))
     if ruled_out(image, readings, squares + CHI2_MARGIN * range_sigma**2):
         return False
-    refined = refine(image, readings, terms=0, iterations=20)
+    refined = refine(image, readings, terms=0, iterations=MOST_ROUNDS)
     if refined is None:
         return False
     directions = refined.parameters.directions
@@ -233,18 +230,6 @@ def ruled_out(image: Parameters, readings: Readings, limit: float) -> bool:
     before = normal.squares[0]
     left = before - float(step[2])
     return bool(left > IMAGE_LEFT * before and left > IMAGE_EXCESS * limit)
-
-
-def _image(solution: Parameters, readings: Readings) -> Parameters:
-    """Return the beams and planes reflected through the mean hand position of each plane."""
-    middle = readings.plane_means(readings.world_t_hand)
-    return Parameters(
-        -solution.locations,
-        -solution.directions,
-        solution.range_errors,
-        -solution.normals,
-        solution.offsets + 2.0 * np.einsum("pi,pi->p", solution.normals, middle),
-    )
 
 
 def least_observed(

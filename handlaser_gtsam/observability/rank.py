@@ -57,7 +57,13 @@ basis) and offset.
 
 @dataclass(frozen=True, slots=True)
 class Indices:
-    """Observability indices of the calibration literature, without unit; larger is better."""
+    """Observability indices of the reduced, scaled Jacobian, as the calibration literature has them.
+
+    From its singular values s_1 >= .. >= s_m, in natural units and for residuals in parts of the
+    typical range, so that they have no unit: O1 the geometric mean over the square root of the
+    number of readings (Borm and Menq), O2 = s_m / s_1 (Driels and Pathre), O3 = s_m and
+    O4 = s_m^2 / s_1 (Nahvi and others). Larger is better.
+    """
 
     O1: float
     O2: float
@@ -79,7 +85,6 @@ class Observability:
     null_space : NullSpace
     length : float
         The typical range L [m] behind the natural units.
-    readings : int
     terms : tuple of int
         Range-error terms of each beam.
     information : ReducedInformation
@@ -93,10 +98,10 @@ class Observability:
         Which of W = 5 + T unknowns a beam there are; the others are range-error terms that it lacks.
     centres : (P, 3)
         Points at which the offsets of the planes are taken [m].
-    least, most : float
-        The extreme eigenvalues.
-    mean_log : float
-        The mean logarithm of the eigenvalues; meaningless where rank is short.
+    least : float
+        The smallest eigenvalue.
+    indices : Indices or None
+        None where rank is short.
     weakest : (n,)
         The unit eigenvector of the least information.
     """
@@ -106,7 +111,6 @@ class Observability:
     condition: float
     null_space: NullSpace
     length: float
-    readings: int
     terms: tuple[int, ...]
     information: ReducedInformation
     open: FloatArray
@@ -115,8 +119,7 @@ class Observability:
     active: BoolArray
     centres: FloatArray
     least: float
-    most: float
-    mean_log: float
+    indices: Indices | None
     weakest: FloatArray
 
     def covariance(self) -> FloatArray:
@@ -133,20 +136,6 @@ class Observability:
         whole = np.zeros(len(self.active))
         whole[self.active] = values
         return whole
-
-    def indices(self) -> Indices | None:
-        """Return the observability indices of the reduced, scaled Jacobian; None if rank is short.
-
-        From its singular values s_1 >= .. >= s_m, in natural units and for residuals in parts of the
-        typical range, so that they have no unit: O1 the geometric mean over the square root of the
-        number of readings (Borm and Menq), O2 = s_m / s_1 (Driels and Pathre), O3 = s_m and
-        O4 = s_m^2 / s_1 (Nahvi and others). Larger is better.
-        """
-        if not self.full:
-            return None
-        most, least = (np.sqrt(s) / self.length for s in (self.most, self.least))
-        mean = np.exp(0.5 * (self.mean_log - np.log(self.readings))) / self.length
-        return Indices(float(mean), float(least / most), float(least), float(least**2 / most))
 
     @property
     def full(self) -> bool:
@@ -216,13 +205,18 @@ def observability(
     null_planes[:, :, : of_beams.shape[1]] = -information.local_response @ of_beams
     alone = np.arange(of_beams.shape[1], short)
     null_planes[which, :, alone] = information.local_axes[which, :, column]
+    indices, condition = None, np.inf
+    if not short:
+        condition = float(np.sqrt(top / values[0]))
+        mean = float(np.exp(0.5 * (mean_log - np.log(len(readings)))) / length)
+        least, largest = (float(np.sqrt(s) / length) for s in (values[0], top))
+        indices = Indices(mean, least / largest, least, least**2 / largest)
     return Observability(
         rank=len(beam) + PLANE.dim * planes - short,
         unknowns=len(beam) + PLANE.dim * planes,
-        condition=float(np.sqrt(top / float(values[0]) if short == 0 else np.inf)),
+        condition=condition,
         null_space=(null_beams.reshape(readings.beams, width, short), null_planes),
         length=length,
-        readings=len(readings),
         terms=counts,
         information=information,
         open=of_beams,
@@ -231,8 +225,7 @@ def observability(
         active=active,
         centres=centres,
         least=float(values[0]),
-        most=top,
-        mean_log=mean_log,
+        indices=indices,
         weakest=axes[:, 0],
     )
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..arrays import FloatArray
-from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..estimation.scales import RANGE, NoiseComponent
@@ -24,7 +24,6 @@ from ..model.equation import residuals_or_infinite
 from ..model.families import OF_DIRECTION, PLANE, count_unknowns
 from ..model.joint import JointCovariance, strong_correlations
 from ..model.losses import GAUSSIAN
-from ..model.sensor_limits import BY_LIMITS
 from ..model.weighting import Variances
 from ..observability.motion import image_in_plane, named, poor_motion, some_plane_leans
 from ..observability.other_solutions import mirror_image_fits
@@ -32,7 +31,6 @@ from ..observability.rank import observability
 from ..observability.wording import (
     MIRROR,
     MIRROR_ADVICE,
-    BeamAndPlaneNames,
     open_coordinates,
     open_parts,
     weakest,
@@ -98,24 +96,20 @@ EXACT_FIT_ADVICE = "add stations"
 def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = None) -> Calibration:
     """Return the calibration of a solution of the readings that were selected.
 
-    Errors that were freed are taken out of the problem already, and counted here.
+    Errors that were freed are taken out of the problem already.
     """
-    solution, names = selection.solution, problem.names
+    solution = selection.solution
     used = problem.chosen(selection.used)
-    more = 0 if freed is None else freed.rank
-    fit, why = fit_of(problem, selection, more)
-    determined, image, up = _determined_by(names, used, solution, fit, more)
-    wrong, way = _wrong_and_way(problem, used, fit, solution, determined, why)
-    # Another way to read the file in place of what is wrong says what the residuals are signs of.
-    mistaken = way is not None and (
-        wrong is not None or suspicious(used, fit) or _mounts_are_unsure(problem, fit, way)
-    )
-    if mistaken:
-        wrong, way = way, None
+    fit, why = fit_of(problem, selection)
+    determined, image, up = _determined_by(problem, used, solution, fit)
+    wrong, way, mistaken = _wrong_and_way(problem, used, fit, selection, determined, why)
     status, message = _status_of(solution, determined, wrong)
     systematic: tuple[SystematicError, ...] = ()
     together, shared, rows = INDEPENDENT, NOTHING_SHARED, None
-    stops = None if solution.variances is None else _stops(problem, used, solution.variances)
+    stops, pose = None, None if solution.variances is None else solution.variances.pose
+    if pose is not None:  # where the hand stood, whose poses err
+        read = np.unique(problem.order.stations[used.station])
+        stops = stops_of(problem.recording, read, problem.noise.standstill, pose)
     if status == "converged" and solution.at.loss == GAUSSIAN:
         rows, shared, systematic, together = _tested(problem, selection, fit, freed, stops)
     # Of an estimated noise the unknowns took more than one degree of freedom each.
@@ -124,9 +118,10 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
     partly = status == "unobservable" and settled and not solution.observability.full
-    joint, effects, in_common = None, tuple[FreedEffect, ...](), None
+    joint, effects, in_common, at_scales = None, tuple[FreedEffect, ...](), None, None
     if status == "converged" or partly:
-        joint, effects, in_common = _covariance(problem, solution, fit, freed, shared, grown)
+        of_all = _covariance(problem, solution, freed, shared, grown)
+        joint, effects, in_common, at_scales = of_all
     signs, by_pose = tuple[CalibrationWarning, ...](), shared.sizes_by_pose
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         as_one = together.plane_growth**2 * max(shared.plane_growth**2, shared.understated(fit.dof))
@@ -146,13 +141,15 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         systematic = tuple(
             replace(one, explained_by=DISPLACED) if one.found else one for one in systematic
         )
-    result = Calibration(
+    at, found, prior = solution.at, solution.posterior, solution.prior
+    unit = unit_sigma(problem, solution)
+    return Calibration(
         status,
         message,
         (
             *filter(None, (wrong, way)),
             *signs,
-            *rival_warnings(used, solution, fit, joint, names),
+            *rival_warnings(used, solution, fit, beams_and_planes[0], problem.names),
             *filter(None, (moved,)),
             *together.warnings,
             *warnings_of(by_pose),
@@ -167,28 +164,38 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         fit,
         determined,
         StartReport(selection.method, selection.tried),
-        solution.at.iterations,
-        solution.at.status == "interrupted",
+        at.iterations,
+        at.status == "interrupted",
+        variances=_variances(problem, solution, fit),
+        noise_estimate=_noise_estimate(problem, solution),
         covariance=whole,
         shared=in_common,
         correlations=() if whole is None else strong_correlations(whole),
+        at_scales=at_scales,
+        learned=None if found is None else found.learned,
+        errors_by_pose=by_pose,
         systematic=systematic,
+        range_error_prior=None if prior is None else prior.part(np.argsort(problem.order.beams)),
+        cost=at.cost * (at.sigma / unit) ** 2 if unit else at.cost,
         sensor_kind=problem.sensor.kind,
         effects=effects,
-        errors_by_pose=by_pose,
     )
-    return with_scales(result, problem, solution, freed)
 
 
 def _wrong_and_way(
     problem: Problem,
     used: Readings,
     fit: Fit,
-    solution: Solution,
+    selection: Selection,
     determined: Determined,
     why: Reasons,
-) -> tuple[CalibrationWarning | None, CalibrationWarning | None]:
-    """Return why the readings do not fit at all, if so, and how else the file could be read."""
+) -> tuple[CalibrationWarning | None, CalibrationWarning | None, bool]:
+    """Return why the readings do not fit at all, if so, and how else the file could be read.
+
+    The last tells whether that other way stands in place of what is wrong: then it says what the
+    residuals are signs of.
+    """
+    solution = selection.solution
     wrong = misfit(problem.recording, used, solution.best, fit)
     if wrong is not None and wrong.code == IMPLAUSIBLE:
         # Where the motion is poor and leaves free range errors undetermined, k1 = -1 fits, too.
@@ -203,20 +210,17 @@ def _wrong_and_way(
             wrong = poor_fit(used, fit)
     elif wrong is None:
         wrong = implausible_mounts(used, solution.best, problem.names)
-    return wrong, _way(problem, used, fit, solution, wrong, why)
-
-
-def _mounts_are_unsure(problem: Problem, fit: Fit, way: CalibrationWarning) -> bool:
-    """Tell whether the mounts are unsure where the file could be read another way.
-
-    Where readings of beams are exchanged and one of them loses more than a third of its own, it is not
-    sure which of the two mounts is whose, or whether both are one. Nor is it where a mistake parts the
-    first stations from the last ones, and either part may be the wrong one.
-    """
+    way = _way(problem, used, fit, selection, wrong, why)
+    if way is None:
+        return wrong, None, False
+    # Where readings of beams are exchanged and one of them loses more than a third of its own, it is
+    # not sure which of the two mounts is whose, or whether both are one. Nor is it where a mistake
+    # parts the first stations from the last ones, and either part may be the wrong one.
     lost = lost_of_beams(fit, problem.recording.beam_names)
-    return "parts" in way.values or any(
-        out > (1.0 / 3.0) * every and every > out for out, every in lost
-    )
+    unsure = any(out > (1.0 / 3.0) * every and every > out for out, every in lost)
+    if wrong is None and not (unsure or "parts" in way.values or suspicious(used, fit)):
+        return None, way, False
+    return way, None, True
 
 
 def _noise_is_learned(solution: Solution, fit: Fit) -> bool:
@@ -227,25 +231,35 @@ def _noise_is_learned(solution: Solution, fit: Fit) -> bool:
 def _covariance(
     problem: Problem,
     solution: Solution,
-    fit: Fit,
     freed: "Freed | None",
     shared: SharedErrors,
     grown: tuple[float, float],
-) -> tuple[JointCovariance, tuple[FreedEffect, ...], InCommon | None]:
-    """Return the covariance of beams and planes, freed errors, and what stations have in common.
+) -> tuple[JointCovariance, tuple[FreedEffect, ...], InCommon | None, ScaledSolution | None]:
+    """Return the covariance of beams and planes, freed errors, and what a full covariance is made of.
 
-    Standard deviations of beams and planes have `grown` by two factors. The last is None where each
-    station errs for itself, and where not everything is determined.
+    Standard deviations of beams and planes have `grown` by two factors. The third result is what
+    stations have in common, None where each errs for itself. The fourth is the solution at the most
+    probable scales, None where the covariance is of that. Both are None where not everything is
+    determined.
     """
     less = None if freed is None else freed.less_certain(shared.freed)
-    joint = joint_covariance(problem, solution, fit, less, shared, grown)
+    joint = joint_covariance(problem, solution, less, shared, grown)
     effects = () if less is None else less.reports(problem, joint, grown[0])
-    beside = shared.any or shared.moves is not None or grown[0] > 1.0
-    if not (beside and solution.observability.full):
-        return joint, effects, None
-    parts = (NOTHING_SHARED, shared._replace(moves=None))
-    alone, of_stops = (joint_covariance(problem, solution, fit, less, one) for one in parts)
-    return joint, effects, InCommon.of(alone, of_stops, joint, grown[0] ** 2)
+    in_common = at_scales = None
+    if not solution.observability.full:
+        return joint, effects, in_common, at_scales
+    if shared.any or shared.moves is not None or grown[0] > 1.0:
+        parts = (NOTHING_SHARED, shared._replace(moves=None))
+        alone, of_stops = (joint_covariance(problem, solution, less, one) for one in parts)
+        in_common = InCommon.of(alone, of_stops, joint, grown[0] ** 2)
+    if solution.posterior is not None or in_common is not None:
+        at_scales = ScaledSolution(
+            problem.in_world(solution.parameters),
+            joint_covariance(problem, replace(solution, posterior=None), freed),
+            solution.prior,
+            np.empty(0) if freed is None else freed.sigmas,
+        )
+    return joint, effects, in_common, at_scales
 
 
 def _signs(
@@ -315,14 +329,6 @@ def _estimates(
     )
 
 
-def _stops(problem: Problem, used: Readings, variances: Variances) -> Stops | None:
-    """Return where the hand stood, whose poses err; None where it came to no stop again."""
-    if variances.pose is None:
-        return None
-    read = np.unique(problem.order.stations[used.station])
-    return stops_of(problem.recording, read, problem.noise.standstill, variances.pose)
-
-
 def _tested(
     problem: Problem,
     selection: Selection,
@@ -336,18 +342,17 @@ def _tested(
     """
     tell("tests")
     names, columns = problem.names, None if freed is None else freed.columns
-    rows = linear_rows(problem, selection, 0 if freed is None else freed.rank, columns)
+    rows = linear_rows(problem, selection, columns)
     known, stations = fit.range_sigma_given, problem.recording.station_names
     dof = fit.dof if known else min(fit.dof, selection.solution.redundancy)
     plausible = problem.sensor.plausible_sizes(float(rows.readings.distance.max()))
-    solution, shared = selection.solution, NOTHING_SHARED
+    solution, shared, learn = selection.solution, NOTHING_SHARED, None
     pose = None if solution.variances is None else solution.variances.pose
-    if pose is not None and stops is not None and solution.observability.full:
-        shared = shared_errors(rows, pose, stops)
-    learn = None
-    many = shared.any and rows.readings.planes > COUPLED_PLANES
-    if pose is not None and solution.observability.full and not many:
-        learn = partial(errors_by_pose, rows, problem.recording, solution, dof, shared)
+    if pose is not None and solution.observability.full:
+        if stops is not None:
+            shared = shared_errors(rows, pose, stops)
+        if not shared.any or rows.readings.planes <= COUPLED_PLANES:
+            learn = partial(errors_by_pose, rows, problem.recording, solution, dof, shared)
     found, together, shared = systematic_errors(
         rows,
         names,
@@ -405,7 +410,7 @@ def _way(
     problem: Problem,
     used: Readings,
     fit: Fit,
-    solution: Solution,
+    selection: Selection,
     wrong: CalibrationWarning | None,
     why: Reasons,
 ) -> CalibrationWarning | None:
@@ -416,32 +421,25 @@ def _way(
     """
     if wrong is not None and wrong.code == COARSE:
         return None
-    recording, rejected = problem.recording, None
+    recording, order, rejected = problem.recording, problem.order, None
     if (wrong is None and not suspicious(used, fit)) or (
         wrong and wrong.code == "contradicting-beam"
     ):
-        other = {int(problem.order.stations[j]) for j in why.other_plane}
-        scattered = set[str]()
+        other, scattered = order.stations[list(why.other_plane)], list[int]()
         for own in range(len(recording.plane_names)):  # in the order of the stations with a label
-            labelled = np.flatnonzero(recording.plane_of_station == own).tolist()
-            wrong_ones = [place for place, j in enumerate(labelled) if j in other]
+            labelled = np.flatnonzero(recording.plane_of_station == own)
+            wrong_ones = np.flatnonzero(np.isin(labelled, other))
             if (np.diff(wrong_ones) > 1).any():
-                scattered |= {recording.station_names[labelled[place]] for place in wrong_ones}
-        out = [
-            one
-            for one in fit.rejected
-            if one.reason not in BY_LIMITS and one.station not in scattered
-        ]
-        if not out:
+                scattered += labelled[wrong_ones].tolist()
+        station, beam = problem.readings.station, problem.readings.beam
+        out = selection.outliers() & ~np.isin(order.stations[station], scattered)
+        if not out.any():
             return None
-        row = {name: j for j, name in enumerate(recording.station_names)}
-        column = {name: i for i, name in enumerate(recording.beam_names)}
         rejected = np.zeros(recording.ranges.shape, dtype=bool)
-        for one in out:
-            rejected[row[one.station], column[one.sensor]] = True
+        rejected[order.stations[station[out]], order.beams[beam[out]]] = True
     from .file_mistakes import better_way  # few recordings are wrong
 
-    terms = solution.terms
+    terms = selection.solution.terms
     way = better_way(recording, terms, rejected)
     if way is None and wrong is not None and rejected is not None:
         way = better_way(recording, terms)
@@ -449,18 +447,18 @@ def _way(
 
 
 def _determined_by(
-    names: BeamAndPlaneNames, used: Readings, solution: Solution, fit: Fit, more: int
+    problem: Problem, used: Readings, solution: Solution, fit: Fit
 ) -> tuple[Determined, Parameters | None, FloatArray]:
     """Return what the readings that were used, each plane in its own frame, determine.
 
-    They determine `more` unknowns beside beams and planes. The second result is the mirror image in the
+    The second result is the mirror image in the
     plane of the motion, where that fits as well. The third is the axis (3,) of the turns, hand frame,
     where elevations along it are undetermined whatever the rank is at the solution: level beams, and
     what a free k1 compensates, show theirs to second order only. Of a hand that never turns it is ones,
     where whole directions are: they have images in the plane of the moves, or of two normals. It is
     zero elsewhere.
     """
-    found, parameters = solution.observability, solution.parameters
+    names, found, parameters = problem.names, solution.observability, solution.parameters
     parts = open_parts(found, parameters, names)
     if solution.prior is not None:  # what is known of range errors without any reading
         parts = tuple(part for part in parts if part.quantity != "range error")
@@ -469,8 +467,7 @@ def _determined_by(
     squares = float(solution.at.residual @ solution.at.residual)
     if motion is not None:
         leans = some_plane_leans(motion, parameters, used, sigma, how)
-        if motion.axis.any():
-            image = image_in_plane(motion, parameters, used, sigma, how)
+        image = image_in_plane(motion, parameters, used, sigma, how)
     k1_free, up = solution.terms > 0 and solution.prior is None, np.zeros(3)
     second_order = motion is not None and (not leans or (k1_free and motion.kind == "planar"))
     if motion is not None and second_order and not found.full:
@@ -495,13 +492,13 @@ def _determined_by(
     elif not found.full and motion is None and _motion_determines(used, solution):
         help_ = (said("noise-advice", rms=fit.rms),)
     determined = Determined(
-        found.rank + more,
-        found.unknowns + more,
+        found.rank + problem.more,
+        found.unknowns + problem.more,
         found.condition if found.full else None,
         words,
         help_,
         parts,
-        found.indices(),
+        found.indices,
         weakest(found, parameters, names),
     )
     return determined, image, up
@@ -529,7 +526,6 @@ def _status_of(
 def joint_covariance(
     problem: Problem,
     solution: Solution,
-    fit: Fit,
     freed: "Freed | None" = None,
     shared: SharedErrors = NOTHING_SHARED,
     growth: tuple[float, float] = (1.0, 1.0),
@@ -540,7 +536,7 @@ def joint_covariance(
     beams and another one for planes, before errors are added that change with the pose.
     """
     at, origins = solution.at, problem.origins
-    sigma = unit_sigma(solution, fit.range_sigma_given, fit.sigma0)
+    sigma = unit_sigma(problem, solution)
     if solution.posterior is not None and solution.observability.full:
         joint = solution.posterior.joint
     elif solution.joint is not None:
@@ -558,48 +554,6 @@ def joint_covariance(
     joint = shared.following_poses(joint.grown(*growth))
     joint = replace(joint, origins=joint.origins + origins)
     return joint.arranged(problem.names.beams, problem.names.planes)
-
-
-def with_scales(
-    result: Calibration,
-    problem: Problem,
-    solution: Solution,
-    freed: "Freed | None" = None,
-) -> Calibration:
-    """Return a result with the scales of noise and range errors, and what follows from them.
-
-    Parameters
-    ----------
-    result : Calibration
-    problem : Problem
-    solution : Solution
-    freed : Freed, optional
-        Systematic errors that were unknowns.
-    """
-    fit, found, at, prior = result.fit, solution.posterior, solution.at, solution.prior
-    unit = unit_sigma(solution, fit.range_sigma_given, fit.sigma0)
-    if prior is not None:
-        beams = np.argsort(problem.order.beams)
-        prior = RangeErrorPrior(
-            prior.sigma[beams], None if prior.mean is None else prior.mean[beams]
-        )
-    result = replace(
-        result,
-        variances=_variances(problem, solution, fit),
-        noise_estimate=_noise_estimate(problem, solution),
-        range_error_prior=prior,
-        cost=at.cost * (at.sigma / unit) ** 2 if unit else at.cost,
-    )
-    result = replace(result, learned=None if found is None else found.learned)
-    if result.covariance is None or (found is None and result.shared is None):
-        return result
-    at_scales = ScaledSolution(
-        problem.in_world(solution.parameters),
-        joint_covariance(problem, replace(solution, posterior=None), fit, freed),
-        solution.prior,
-        np.empty(0) if freed is None else freed.sigmas,
-    )
-    return replace(result, at_scales=at_scales)
 
 
 def _variances(problem: Problem, solution: Solution, fit: Fit) -> Variances | None:

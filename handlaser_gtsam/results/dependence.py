@@ -28,6 +28,7 @@ Systematic errors that were found make neighbouring residuals alike, too: they a
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import orth
 from scipy.linalg.lapack import dtbtrs
 from scipy.optimize import nnls
 
@@ -103,8 +104,7 @@ def dependence(
 
     explained = np.empty((len(rows.readings), 0))
     if found.size:
-        U, size, _ = np.linalg.svd(left(found), full_matrices=False)
-        explained = U[:, size > NEGLIGIBLE * size[0]]
+        explained = orth(left(found), rcond=NEGLIGIBLE)
     # 300 draws give the spread of a sum to 4 %. Larger recordings get fewer: four arrays of draws, the
     # white ones and what is made of them, stand beside each other.
     count = int(np.clip(NUMBERS_AT_ONCE // (4 * len(rows.readings)), LEAST_DRAWS, 300))

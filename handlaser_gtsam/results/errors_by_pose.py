@@ -59,19 +59,18 @@ def errors_by_pose(
         found = found[:, :0]
     of_poses = variances.pose
 
-    def projection(part: float) -> Projection:
+    def likelihood(part: float) -> Likelihood:
         if shared.any:
             own = own_variances(rows.at, rows.readings, variances)
             how = coupled(own, part * shared.moved, renumbered(shared.stop))
-            return CoupledProjection(rows, rows.prior, how)
-        if part == 1.0:
-            return Projection(rows, rows.prior)
-        how = whitening(rows.at, rows.readings, replace(variances, pose=part**2 * of_poses))
-        of = rows.prior, rows.position, rows.channel, rows.freed
-        return Projection(LinearRows(rows.at, rows.readings, how, *of), rows.prior)
-
-    def likelihood(part: float) -> Likelihood:
-        return _likelihood(projection(part), rows, unit, found, dof).of_fewer(times)
+            projection: Projection = CoupledProjection(rows, rows.prior, how)
+        elif part == 1.0:
+            projection = Projection(rows, rows.prior)
+        else:
+            how = whitening(rows.at, rows.readings, replace(variances, pose=part**2 * of_poses))
+            of = rows.prior, rows.position, rows.channel, rows.freed
+            projection = Projection(LinearRows(rows.at, rows.readings, how, *of), rows.prior)
+        return _likelihood(projection, rows, unit, found, dof).of_fewer(times)
 
     stated = by_metre_and_radian(of_poses[read], pose, unknown)
     sizes = sizes_by_pose(likelihood, unknown, stated)
@@ -83,21 +82,20 @@ def _likelihood(
 ) -> Likelihood:
     """Return what rows say of errors by pose beside columns (N, q) of errors that were found."""
     sigma = projection.how.sigma
-    residual, priors = rows.residual[:, None], projection.prior_residuals(rows.at)
-    _, heavy, square, _ = projection.perpendicular(residual, priors)
-    _, beside, _, _ = projection.perpendicular(found)
+    heavy, square = projection.of_residuals(rows)
+    beside = projection.perpendicular(found)[0]
     inverse, along = np.linalg.inv(found.T @ beside), unit.products(beside)
     size = inverse @ (found.T @ heavy)
     rest = [projection.weighed_rest(F) for F in unit.columns]
     G = np.concatenate([unit.products(F) for F in rest], axis=1) - along @ inverse @ along.T
-    left = float(square[0] - (found.T @ heavy * size).sum())
+    left = square - float((found.T @ heavy) @ size)
     constant = projection.log_det_inverse() - projection.how.log_det()
     unknowns = projection.unknowns + found.shape[1]
     constant -= 2.0 * float(len(rows.residual) - unknowns) * np.log(sigma)
     constant += float(np.linalg.slogdet(inverse)[1])
     return Likelihood(
         G / sigma**2,
-        (unit.products(heavy) - along @ size)[:, 0] / sigma**2,
+        (unit.products(heavy) - along @ size) / sigma**2,
         left / sigma**2,
         dof,
         0.5 * constant,

@@ -37,7 +37,7 @@ from ..model.effects.plausible import how_to_state
 from ..model.equation import residuals_or_infinite
 from ..model.families import modelled
 from ..model.geometry import skew
-from ..model.joint import JointCovariance
+from ..model.joint import JointCovariance, plane_steps
 from ..model.sensor_limits import Sensor
 from ..quantities import MOST_ROUNDS
 from ..text import count
@@ -111,9 +111,7 @@ class Freed(NamedTuple):
             [index for _, index in part] for part in (problem.names.beams, problem.names.planes)
         )
         planes, centres = self.moves.planes[p], joint.origins - problem.origins[p]
-        tilts = np.einsum("pij,piq->pjq", joint.plane_bases, planes[:, :3])
-        offsets = planes[:, 3] + np.einsum("pi,piq->pq", centres, planes[:, :3])
-        follow = np.concatenate((tilts, offsets[:, None]), axis=1).reshape(-1, len(covariance))
+        follow = plane_steps(joint.plane_bases, centres, planes).reshape(-1, len(covariance))
         follow = np.concatenate((self.moves.beams[i][modelled(joint.terms)], follow))
         # A size is determined where the readings lower the variance of its prior to below this part:
         # then they say more of it than the prior.
@@ -199,7 +197,7 @@ def with_freed(
     """
     largest = float(problem.readings.distance[selection.used].max())
     prior = prior_sizes(options.free, options.sensor, largest)
-    recorded, first = problem, selection
+    recorded = problem
     size: dict[Member, float] = {}
     rank = 0
     for _ in range(MOST_ROUNDS):
@@ -224,8 +222,8 @@ def with_freed(
         except InputError:  # sizes beyond sense leave readings that no sensor gives
             break
         problem = corrected
-        selection = replace(again, method=first.method, tried=first.tried)
-    return problem, selection, freed._replace(settled=settled)
+        selection = replace(again, method=selection.method, tried=selection.tried)
+    return problem._replace(more=freed.rank), selection, freed._replace(settled=settled)
 
 
 class _Errors:
@@ -309,7 +307,7 @@ class _Errors:
         used = self.selection.used[self.rows]
         at = np.array([size.get(member, 0.0) for member in self.members])
         codes, subjects = zip(*self.members, strict=True)
-        rows = linear_rows(problem, self.selection, rank)
+        rows = linear_rows(problem._replace(more=rank), self.selection)
         # The slope of the range error is free of the noise of the readings, as everywhere.
         k = rows.at.range_errors[rows.readings.beam]
         slope = 1.0 + k[:, 0] + 2.0 * k[:, 1] * rows.readings.level
@@ -333,24 +331,14 @@ class _Errors:
         at = np.array([size[member] for member in self.members])
         distance = readings.distance.copy()
         distance[self.rows] -= self.longer @ at
-        twist = np.zeros((int(readings.station.max()) + 1, 6))
-        twist[self.stations] = self.twists @ at
-        turn = Rotation.from_rotvec(twist[readings.station, :3]).as_matrix()
-        R, u = readings.world_R_hand, twist[readings.station, 3:]
-        new = replace(
-            readings,
-            distance=distance,
-            world_R_hand=R @ turn,
-            world_t_hand=readings.world_t_hand + np.einsum("nij,nj->ni", R, u),
-        )
-        ranges, R, t = (
-            array.copy()
-            for array in (recording.ranges, recording.world_R_hand, recording.world_t_hand)
-        )
-        station = order.stations[readings.station]
+        twist, moved = self.twists @ at, order.stations[self.stations]
+        R, t = recording.world_R_hand.copy(), recording.world_t_hand.copy()
+        t[moved] += np.einsum("nij,nj->ni", R[moved], twist[:, 3:])
+        R[moved] = R[moved] @ Rotation.from_rotvec(twist[:, :3]).as_matrix()
+        station, ranges = order.stations[readings.station], recording.ranges.copy()
         ranges[station, order.beams[readings.beam]] = distance
-        R[station], t[station] = new.world_R_hand, new.world_t_hand
         corrected = replace(recording, ranges=ranges, world_R_hand=R, world_t_hand=t)
+        new = replace(readings, distance=distance, world_R_hand=R[station], world_t_hand=t[station])
         return recorded._replace(recording=corrected, readings=new)
 
 

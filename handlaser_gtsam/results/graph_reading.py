@@ -19,7 +19,7 @@ from ..estimation.estimate import NAMED_SHARE
 from ..factors.amid_readings import amid_readings
 from ..factors.keys import BeamKeys, integer_key, require_beam
 from ..model.distributions import SINGLE_LEVEL
-from ..model.families import DIRECTION, LOCATION, MOUNT_DIM, PLANE
+from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM, PLANE, RANGE_ERROR
 from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
 from ..quantities import NEGLIGIBLE, TEN_TIMES
@@ -37,17 +37,15 @@ ANCHOR = (
 )
 FURTHER = "optimise further, with hl.optimize, or start closer"
 MOVE_MORE = "add stations in other orientations, and check that all lengths are metres"
-
-
+TERMS = "a vector (k1,) or (k1, k2)"
 KINDS = (
-    ("location of beam {}", gtsam.Values.atPoint3, "a Point3", (1, 1, 1)),
-    ("direction of beam {}", gtsam.Values.atUnit3, "a Unit3", (0, 0)),
-    ("range error of beam {}", gtsam.Values.atVector, "a vector (k1,) or (k1, k2)", (0, -1)),
-    ("plane {}", gtsam.Values.atOrientedPlane3, "an OrientedPlane3", (0, 0, 1)),
+    ("location of beam {}", gtsam.Values.atPoint3, "a Point3", BEAM.powers[LOCATION]),
+    ("direction of beam {}", gtsam.Values.atUnit3, "a Unit3", BEAM.powers[DIRECTION]),
+    ("range error of beam {}", gtsam.Values.atVector, TERMS, BEAM.powers[RANGE_ERROR]),
+    ("plane {}", gtsam.Values.atOrientedPlane3, "an OrientedPlane3", PLANE.powers),
 )
 """Kinds of variables: what each is of, how it is read, its type, and the natural units of its columns
-as powers of the typical range. A beam has three lengths, two angles, and a number k1 with k2 per
-length; a plane has two angles of the normal and the offset, which is a length."""
+as powers of the typical range."""
 Variables = dict[int, tuple[str, tuple[int, ...]]]
 """What is read, by its key: what it is, and the powers of its columns."""
 
@@ -185,26 +183,17 @@ def _range_rows(
     return RangeRows(np.array(beams)[mine[0]], keys[0], pose, ranges, -float(by_offset.sum()))
 
 
-class OwnFit(NamedTuple):
-    """How a graph fits.
+def _fit_of_graph(own: OwnGraph, unknowns: int) -> tuple[Fit, float, set[int]]:
+    """Return how the rows of the range factors fit.
 
-    Attributes
-    ----------
+    Returns
+    -------
     fit : Fit
-        Of the rows of the range factors; chi2 and dof count the whole graph.
+        Of these rows; chi2 and dof count the whole graph.
     times : float
         Residuals of the range factors in their sigmas, as their own losses count them.
     against : set of int
         Keys of the planes whose normals point towards the sensors.
-    """
-
-    fit: Fit
-    times: float
-    against: set[int]
-
-
-def _fit_of_graph(own: OwnGraph, unknowns: int) -> OwnFit:
-    """Return how the rows of the range factors fit.
 
     Raises
     ------
@@ -260,7 +249,7 @@ def _fit_of_graph(own: OwnGraph, unknowns: int) -> OwnFit:
         loss="gaussian",
     )
     against = {key for key, total in along.items() if total < 0.0}
-    return OwnFit(fit, float(np.sqrt(2.0 * cost / len(e))), against)
+    return fit, float(np.sqrt(2.0 * cost / len(e))), against
 
 
 def read_graph(

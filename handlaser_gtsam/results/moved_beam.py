@@ -24,7 +24,6 @@ import numpy as np
 
 from .. import model
 from ..arrays import FloatArray, IntArray, evenly
-from ..data.parameters import RangeErrorPrior
 from ..errors import CalibrationWarning, GrazingBeamError
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
@@ -64,24 +63,12 @@ class Suspect(NamedTuple):
     J: FloatArray
 
 
-class Promise(NamedTuple):
-    """The station from which on a candidate explains most, and by how much chi2 falls an unknown.
-
-    `tests` counts the stations that were tried.
-    """
-
-    one: Suspect
-    split: int
-    fall: float
-    tests: int
-
-
 class Move(NamedTuple):
-    """What a candidate explains if it moved at its best station.
+    """What a suspect explains if it moved at its best station.
 
     Attributes
     ----------
-    beam : int
+    one : Suspect
     position : int
         Of the first station after the move, in the recording.
     size : (c,)
@@ -97,7 +84,7 @@ class Move(NamedTuple):
         How many stations were tried, of everything that may have moved.
     """
 
-    beam: int
+    one: Suspect
     position: int
     size: FloatArray
     rank: int
@@ -148,7 +135,10 @@ def moved_beam(
     move, out = None, selection.outliers()
     if out.any() and not rows.freed.codes:
         with suppress(GrazingBeamError):
-            every = _with_rejected(rows, problem, selection)
+            readings = problem.chosen(selection.used | out)
+            how = whitening(rows.at, readings, _variances(selection.solution, readings.beams))
+            position = problem.order.stations[readings.station]
+            every = LinearRows(rows.at, readings, how, rows.prior, position, rows.channel)
             move = _likely_move(every, fit.dof + int(out.sum()), fit.range_sigma_given)
             if move is not None and _rather_gross(move, every, selection):
                 move = None
@@ -159,15 +149,14 @@ def moved_beam(
             clearest / (clearest + max(fit.dof - 1, 1)), fit.dof, 1
         ):
             move = None
-    if move is None or move.beam < 0:
+    if move is None or move.one.beam < 0:
         return None
-    beam = beams[problem.names.sorted_beams()[move.beam]]
+    beam = beams[problem.names.sorted_beams()[move.one.beam]]
     if beam.covariance is None:
         return None
-    at = np.concatenate((beam.location, beam.direction, beam.range_error))
-    _, J = spot_of(at, fit.median_reading)
+    _, J = spot_of(beam.coordinates, fit.median_reading)
     lifts = beam_lifts(model.tangent_basis(rows.at.directions))
-    d = lifts[move.beam][:, :MOUNT_DIM] @ move.size
+    d = lifts[move.one.beam][:, :MOUNT_DIM] @ move.size
     shift = float(np.linalg.norm(J @ d))
     values: dict[str, float | str] = {
         "target": f"beam {beam.name}",
@@ -178,15 +167,6 @@ def moved_beam(
         "times": shift / radius(J @ beam.covariance @ J.T),
     }
     return warned(f"{DISPLACED}:beam", values, likely=p_words(move.p_value, 1))
-
-
-def _with_rejected(rows: LinearRows, problem: Problem, selection: Selection) -> LinearRows:
-    """Return the rows with all readings that were rejected because others contradict them."""
-    counts = selection.used | selection.outliers()
-    readings = problem.chosen(counts)
-    how = whitening(rows.at, readings, _variances(selection.solution, readings.beams))
-    position = problem.order.stations[readings.station]
-    return LinearRows(rows.at, readings, how, rows.prior, position, rows.channel)
 
 
 def _variances(solution: Solution, beams: int) -> Variances:
@@ -206,7 +186,7 @@ def _rather_gross(move: Move, every: LinearRows, selection: Selection) -> bool:
     total = move.left / (1.0 - move.share) / every.how.sigma**2
     left = move.left / every.how.sigma**2
     # A large move spoils more readings than it has unknowns.
-    if move.beam >= 0 and rejected > move.rank:
+    if move.one.beam >= 0 and rejected > move.rank:
         left = min(left, _apart(move, every, solution))
     gross = _criterion(1.0 - solution.chi2 / total, move.dof, rejected)
     return gross < _criterion(1.0 - left / total, move.dof, move.rank)
@@ -219,17 +199,15 @@ def _apart(move: Move, every: LinearRows, solution: Solution) -> float:
     errors would be followed for hundreds.
     """
     readings, beams = every.readings, every.readings.beams
-    late = (readings.beam == move.beam) & (every.position >= move.position)
+    late = (readings.beam == move.one.beam) & (every.position >= move.position)
     beam = np.where(late, beams, readings.beam)
     rows = np.argsort(beam, kind="stable")
     split = replace(readings.subset(rows), beam=beam[rows], beams=beams + 1)
-    of = np.append(np.arange(beams), move.beam)
+    of = np.append(np.arange(beams), move.one.beam)
     at = every.at.part(of, np.arange(readings.planes))
     variances, prior = _variances(solution, beams), solution.prior
     variances = replace(variances, range_sigma=variances.range_sigma[of])
-    if prior is not None:
-        mean = None if prior.mean is None else prior.mean[of]
-        prior = RangeErrorPrior(prior.sigma[of], mean)
+    prior = None if prior is None else prior.part(of)
     how = whitening(at, split, variances)
     problem, block = beam_problem([split], solution.terms, [how], prior=prior)
     solver = LevenbergOptions(max_iterations=MOST_ROUNDS)
@@ -245,68 +223,47 @@ def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
     weight, total = rows.how.squares(), float(rows.residual @ heavy)
     if dof <= BEAM.dim or not total > 0.0:
         return None
-    falls = partial(_falls_alone, rows, heavy, weight)
-    promising = list(map(falls, _beams(rows)))
+    everything, beams = np.arange(len(rows.readings)), rows.readings.beams
+    own = [np.flatnonzero(rows.readings.beam == beam) for beam in range(beams)]
+    suspects = [Suspect(beam, at, rows.J[at, :MOUNT_DIM]) for beam, at in enumerate(own)]
+    alone = partial(_falls_alone, rows, heavy, weight)
+    falls = list(map(alone, suspects))
     # Alone it explains no more than with the others: most good recordings, whose best of all tests is
     # what chance makes of their number, end here.
-    most, tests = max(one.fall for one in promising), sum(one.tests for one in promising)
+    tests, most = sum(tried for _, _, tried in falls), max(fall for fall, _, _ in falls)
     if not tests or chi2_sf(MOUNT_DIM * most * dof / total, MOUNT_DIM) * tests > 1.0:
         return None
-    promising += map(falls, _others(rows))
-    tests = sum(one.tests for one in promising)
-    promising.sort(key=lambda one: -one.fall)
+    others = list(_planes(rows, everything))
+    if beams > 1:  # of a single beam the tool frame is the same
+        others.append(Suspect(-1, everything, rows.linear.pose))
+    suspects, falls = [*suspects, *others], [*falls, *map(alone, others)]
+    tests = sum(tried for _, _, tried in falls)
     projection = Projection(rows, rows.prior)
-    priors = projection.prior_residuals(rows.at)
-    _, left, squares, _ = projection.perpendicular(rows.residual[:, None], priors)
-    rest = left[:, 0], float(squares[0])
+    rest = projection.of_residuals(rows)
 
     def tried(one: Suspect, split: int) -> Move:
         return _tried(one, split, rows, projection, rest)._replace(dof=float(dof), tests=tests)
 
     # The others explain less even without other unknowns.
-    near = [(by.one, by.split) for by in promising[:4] if by.tests]
-    moves = [tried(*of) for of in near]
+    first = sorted(range(len(falls)), key=lambda number: -falls[number][0])[:4]
+    moves = [tried(suspects[i], falls[i][1]) for i in first if falls[i][2]]
     if not min(moves, key=lambda move: move.criterion).clear:
         return None
-    found = zip(moves, near, strict=True)
-    moves = [_narrowed(move, one, rows, tried) for move, (one, _) in found]
-    best_move = min(moves, key=lambda move: move.criterion)
+    moves = [_narrowed(move, rows, tried) for move in moves]
+    best = min(moves, key=lambda move: move.criterion)
     # Or the beam reads something else than one of the planes, wherever and whenever it is measured.
-    own = np.flatnonzero(rows.readings.beam == best_move.beam)
-    moves = [best_move, *(tried(one, 0) for one in _planes(rows, own))]
-    best_move = min(moves, key=lambda move: move.criterion)
-    together = dependence(rows, projection, known=known, found=best_move.columns)
-    best_move = best_move._replace(dof=dof / together.plane_growth**2)
-    if not best_move.clear or _few_explain(best_move, rest[0] ** 2 / weight / rest[1]):
-        return None
-    return best_move
-
-
-def _few_explain(move: Move, shares: FloatArray) -> bool:
-    """Tell whether gross errors of a few readings, each an unknown, explain better than a move.
-
-    `shares` (N,) are the parts of the squares of the residuals that an error of each reading explains.
-    More than `MANY_OUTLIERS` of all would follow a move, too.
-    """
-    shares = np.sort(shares)[::-1][: int(MANY_OUTLIERS * move.dof)].cumsum()
-    return any(
-        _criterion(share, move.dof, count) < move.criterion
-        for count, share in enumerate(shares.tolist(), 1)
+    mine = np.flatnonzero(rows.readings.beam == best.one.beam)
+    moves = [best, *(tried(one, 0) for one in _planes(rows, mine))]
+    best = min(moves, key=lambda move: move.criterion)
+    together = dependence(rows, projection, known=known, found=best.columns)
+    best = best._replace(dof=dof / together.plane_growth**2)
+    # Or gross errors of a few readings, each an unknown; more of them would follow a move, too.
+    shares = np.sort(rest[0] ** 2 / weight / rest[1])[::-1][: int(MANY_OUTLIERS * best.dof)]
+    few = any(
+        _criterion(share, best.dof, count) < best.criterion
+        for count, share in enumerate(shares.cumsum().tolist(), 1)
     )
-
-
-def _beams(rows: LinearRows) -> Iterator[Suspect]:
-    """Yield every beam, whose mount may change."""
-    for beam in range(rows.readings.beams):
-        own = np.flatnonzero(rows.readings.beam == beam)
-        yield Suspect(beam, own, rows.J[own, :MOUNT_DIM])
-
-
-def _others(rows: LinearRows) -> Iterator[Suspect]:
-    """Yield what else may have moved: every plate, and the tool frame."""
-    yield from _planes(rows, np.arange(len(rows.readings)))
-    if rows.readings.beams > 1:  # of a single beam it is the same
-        yield Suspect(-1, np.arange(len(rows.readings)), rows.linear.pose)
+    return best if best.clear and not few else None
 
 
 def _planes(rows: LinearRows, own: IntArray) -> Iterator[Suspect]:
@@ -325,36 +282,37 @@ def _splits(position: IntArray, one: Suspect) -> IntArray:
     return times[least : len(times) - least + 1]
 
 
-def _narrowed(
-    move: Move, one: Suspect, rows: LinearRows, tried: Callable[[Suspect, int], Move]
-) -> Move:
+def _narrowed(move: Move, rows: LinearRows, tried: Callable[[Suspect, int], Move]) -> Move:
     """Return a move from the station on from which it explains most, near the one that was tried.
 
     Readings between the two are no part of the move, and would look like noise that varies slowly.
     """
-    near = _splits(rows.position[one.rows], one)
+    near = _splits(rows.position[move.one.rows], move.one)
     some = evenly(len(near), MOST_SPLITS)
     best = int(np.searchsorted(near[some], move.position))
     while len(some) < len(near):
         near = near[some[max(best - 1, 0)] : some[min(best + 1, len(some) - 1)] + 1]
         some = evenly(len(near), MOST_SPLITS)
-        moves = [tried(one, split) for split in near[some].tolist()]
+        moves = [tried(move.one, split) for split in near[some].tolist()]
         best = int(np.argmax([one.share for one in moves]))
         move = moves[best]
     return move
 
 
-def _falls_alone(rows: LinearRows, heavy: FloatArray, weight: FloatArray, one: Suspect) -> Promise:
-    """Return where most would be explained with no other unknown than the candidate's own.
+def _falls_alone(
+    rows: LinearRows, heavy: FloatArray, weight: FloatArray, one: Suspect
+) -> tuple[float, int, int]:
+    """Return where most would be explained with no other unknown than the suspect's own.
 
-    Rows from a split on count as a sum; the sums of all splits are running totals.
+    By how much chi2 falls an unknown, from which station on, and how many stations were tried. Rows
+    from a split on count as a sum; the sums of all splits are running totals.
     """
     position = rows.position[one.rows]
     order = np.argsort(position, kind="stable")
     splits = _splits(position, one)
     splits = splits[evenly(len(splits), MOST_SPLITS)]
     if not splits.size:
-        return Promise(one, 0, 0.0, 0)
+        return 0.0, 0, 0
     of, J = one.rows[order], one.J[order]
     J = J / np.maximum(np.sqrt((J**2).sum(axis=0)), TINY)
     first = np.searchsorted(position[order], [position.min(), *splits])
@@ -367,7 +325,7 @@ def _falls_alone(rows: LinearRows, heavy: FloatArray, weight: FloatArray, one: S
     inverse = np.linalg.pinv(late - share @ late, rcond=NEGLIGIBLE, hermitian=True)
     falls = np.einsum("ki,kij,kj->k", score, inverse, score) / J.shape[1]
     best = int(falls.argmax())
-    return Promise(one, int(splits[best]), float(falls[best]), len(splits))
+    return float(falls[best]), int(splits[best]), len(splits)
 
 
 def _tried(
@@ -386,7 +344,7 @@ def _tried(
     columns[one.rows] = one.J * (rows.position[one.rows] >= split)[:, None]
     unit = np.maximum(np.sqrt((columns**2).sum(axis=0)), TINY)
     columns /= unit
-    _, weighed, _, _ = projection.perpendicular(columns)
+    weighed = projection.perpendicular(columns)[0]
     # Products with the columns themselves count what the priors bear of them, too.
     values, axes = np.linalg.eigh(columns.T @ weighed)
     kept = values > NEGLIGIBLE  # columns of length 1: the unknowns explain the rest
@@ -394,7 +352,7 @@ def _tried(
     size = -(axes[:, kept] @ (along[kept] / values[kept])) / unit
     fall = float((along[kept] ** 2 / values[kept]).sum())
     rank, by = int(kept.sum()), columns @ axes[:, kept]
-    return Move(one.beam, split, size, rank, fall / total, total - fall, by)
+    return Move(one, split, size, rank, fall / total, total - fall, by)
 
 
 def _criterion(share: float, dof: float, unknowns: int) -> float:

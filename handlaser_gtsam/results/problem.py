@@ -39,6 +39,8 @@ class Problem(NamedTuple):
         Origin of the frame in which each plane is solved, in the world [m]; axes are the world's.
     noise : Noise
     sensor : Sensor
+    more : int
+        Unknowns beside beams and planes, as many as the readings determine: freed systematic errors.
     """
 
     recording: Recording
@@ -47,6 +49,7 @@ class Problem(NamedTuple):
     origins: FloatArray
     noise: Noise
     sensor: Sensor
+    more: int = 0
 
     @property
     def names(self) -> BeamAndPlaneNames:
@@ -59,9 +62,8 @@ class Problem(NamedTuple):
 
     def in_world(self, at: Parameters) -> Parameters:
         """Return a solution in the world frame, in the order of the recording."""
-        i, p = np.argsort(self.order.beams), np.argsort(self.order.planes)
-        r, v, k = (array[i] for array in at.beams)
-        return Parameters(r, v, k, at.normals[p], at.seen_from(-self.origins).offsets[p])
+        in_world = at.seen_from(-self.origins)
+        return in_world.part(np.argsort(self.order.beams), np.argsort(self.order.planes))
 
 
 def named_estimates(
@@ -165,26 +167,14 @@ def fit_of_rows(
 
 
 def linear_rows(
-    problem: Problem, selection: Selection, more: int = 0, freed: FreedColumns | None = None
+    problem: Problem, selection: Selection, freed: FreedColumns | None = None
 ) -> LinearRows:
-    """Return the linear problem at a solution.
-
-    Parameters
-    ----------
-    problem : Problem
-    selection : Selection
-    more : int
-        Errors that are unknowns beside beams and planes, as many as the readings determine.
-    freed : FreedColumns, optional
-        All of these errors.
-    """
+    """Return the linear problem at a solution, with the systematic errors that are unknowns."""
     solution, used = selection.solution, problem.chosen(selection.used)
     how, at = solution.whitening, solution.parameters
     if how is None:
         equal = Variances(np.full(used.beams, solution.at.sigma))
-        given = problem.noise.range_sigma is not None
-        sigma = unit_sigma(solution, given, _sigma0(*_chi2_of(problem, solution, more)))
-        how = replace(whitening(at, used, equal), sigma=sigma)
+        how = replace(whitening(at, used, equal), sigma=unit_sigma(problem, solution))
     prior = np.where(np.arange(2) < solution.terms, np.inf, 0.0)
     prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
     position = problem.order.stations[used.station]
@@ -192,27 +182,23 @@ def linear_rows(
     return LinearRows(at, readings, how, prior, position, problem.order.beams, freed)
 
 
-def _chi2_of(problem: Problem, solution: Solution, more: int) -> tuple[float, int]:
-    """Return chi2 and its degrees of freedom, with `more` unknowns beside beams and planes."""
+def _chi2_of(problem: Problem, solution: Solution) -> tuple[float, int]:
+    """Return chi2 and its degrees of freedom."""
     chi2 = solution.chi2
     if problem.noise.range_sigma is None and not solution.scales_estimated:
         chi2 *= solution.at.sigma**2
-    return chi2, solution.dof - more
+    return chi2, solution.dof - problem.more
 
 
-def fit_of(problem: Problem, selection: Selection, more: int = 0) -> tuple[Fit, Reasons]:
-    """Return the fit, and the reasons for what was rejected, in the order of the recording.
-
-    The readings may determine `more` unknowns beside beams and planes.
-    """
+def fit_of(problem: Problem, selection: Selection) -> tuple[Fit, Reasons]:
+    """Return the fit, and the reasons for what was rejected, in the order of the recording."""
     solution, recording, order = selection.solution, problem.recording, problem.order
     used = problem.chosen(selection.used)
     e = solution.at.residual
     if solution.posterior is not None and not solution.at.estimates_poses:
         e = residuals(scene(solution.best, used), used.distance)
-    given = problem.noise.range_sigma is not None
-    at, (chi2, dof) = solution.parameters, _chi2_of(problem, solution, more)
-    sigma = unit_sigma(solution, given, _sigma0(chi2, dof))
+    at, (chi2, dof) = solution.parameters, _chi2_of(problem, solution)
+    sigma = unit_sigma(problem, solution)
     if solution.variances is not None:
         sigma *= float(np.median(solution.variances.range_sigma)) / solution.at.sigma
     standardized = np.zeros(len(e))  # of an exact fit
@@ -232,7 +218,7 @@ def fit_of(problem: Problem, selection: Selection, more: int = 0) -> tuple[Fit, 
         chi2=chi2,
         dof=dof,
         range_sigma=sigma,
-        given=given,
+        given=problem.noise.range_sigma is not None,
         poses=solution.poses,
         loss=solution.at.loss.name,
     )
@@ -247,13 +233,14 @@ def _sigma0(chi2: float, dof: int) -> float:
     return float(np.sqrt(chi2 / dof)) if dof > 0 else 0.0
 
 
-def unit_sigma(solution: Solution, given: bool, sigma0: float) -> float:
+def unit_sigma(problem: Problem, solution: Solution) -> float:
     """Return the sigma [m] of a residual of weight 1 behind the covariances.
 
-    Of a robust loss it is its scale: outliers would spoil `sigma0`, which is estimated from residuals.
+    Of a robust loss it is its scale: outliers would spoil what is estimated from residuals.
     """
+    given = problem.noise.range_sigma is not None
     known = given or solution.scales_estimated or solution.at.loss != GAUSSIAN
-    return solution.at.sigma if known else sigma0
+    return solution.at.sigma if known else _sigma0(*_chi2_of(problem, solution))
 
 
 def _rejected(problem: Problem, selection: Selection, why: Reasons) -> tuple[Rejected, ...]:

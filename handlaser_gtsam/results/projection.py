@@ -16,6 +16,7 @@ from ..data.recording import Readings
 from ..model.effects.effect import SeenStations
 from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..model.geometry import tangent_basis
+from ..model.joint import plane_lifts
 from ..model.reduction import Normal
 from ..model.weighting import Whitening
 from ..solvers.beam_problem import jacobian_columns, linearized
@@ -133,12 +134,8 @@ class Projection:
         self.freed, freed = rows.freed, rows.freed.columns
         self.freed_rest, self.freed_pulled, self.freed_moved = self.beside(freed)
         self.freed_heavy = self.how.weighed(self.freed_rest)
-        self.freed_information = (
-            self.freed_rest.T @ self.freed_heavy + self.freed_pulled.T @ self.freed_pulled
-        )
-        self.freed_inverse = np.linalg.inv(
-            self.freed_information + self.how.sigma**2 * np.eye(freed.shape[1])
-        )
+        known = self.freed_rest.T @ self.freed_heavy + self.freed_pulled.T @ self.freed_pulled
+        self.freed_inverse = np.linalg.inv(known + self.how.sigma**2 * np.eye(freed.shape[1]))
 
     def _invert(self, normal: Normal, active: BoolArray) -> None:
         """Invert the information of beams, whose unknowns (7 B,) are `active`, and planes."""
@@ -227,62 +224,45 @@ class Projection:
     def moves(self, unknowns: FloatArray) -> "Moves":
         """Return moves of beams and planes (7 B + 3 P, c) with planes by (n, b)."""
         beams, planes = np.split(unknowns, [self.pull.size])
-        planes = planes.reshape(self.readings.planes, PLANE.dim, -1)
-        normals = tangent_basis(self.normals) @ planes[:, :2]
-        offsets = planes[:, 2] - np.einsum("pi,piq->pq", self.centres, normals)
+        lifts = plane_lifts(tangent_basis(self.normals), self.centres)
         return Moves(
             beams.reshape(self.readings.beams, BEAM.dim, -1),
-            np.concatenate((normals, offsets[:, None]), axis=1),
+            lifts @ planes.reshape(self.readings.planes, PLANE.dim, -1),
         )
 
     def weighed_rest(self, columns: FloatArray) -> FloatArray:
         """Return what the unknowns leave of columns (N, c), times sigma^2 inv(C), but for rounding."""
         if self.freed.codes:
-            return self.perpendicular(columns)[1]
+            return self.perpendicular(columns)[0]
         step = self.following(self.J.T @ self.how.weighed(columns))
         return self.how.weighed(columns - self.J @ step)
 
-    def perpendicular(
-        self, columns: FloatArray, pulled: FloatArray | None = None
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the `rest` of columns (N, q), what it weighs, its squares, and how the beams move.
+    def perpendicular(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what the `rest` of columns (N, q) weighs, and how the beams move.
 
         Returns
         -------
-        rest : (N, q)
         heavy : (N, q)
-            Times sigma^2 inv(C).
-        squares : (q,)
-            Of the whitened columns, rows of the prior included.
+            The rest times sigma^2 inv(C).
         moved : (7 B, q)
             The beams' part of the unknowns that explain what is not left.
         """
-        rest, pulled, moved = self.rest(columns, pulled)
+        rest, _, moved = self.rest(columns)
+        return self.how.weighed(rest), moved[: self.pull.size]
+
+    def of_residuals(self, rows: LinearRows) -> tuple[FloatArray, float]:
+        """Return what the `rest` of the residuals (N,) weighs, and its square, the priors included."""
+        residual, priors = rows.residual[:, None], self.prior_residuals(rows.at)
+        rest, pulled, _ = self.rest(residual, priors)
         heavy = self.how.weighed(rest)
-        squares = (rest * heavy).sum(axis=0) + (pulled**2).sum(axis=0)
-        return rest, heavy, squares, moved[: self.pull.size]
-
-    def members(
-        self, products: FloatArray, squares: FloatArray, plane: IntArray, freed: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return how beams follow the members of a family (m, 7 B), and their adjusted squares (m,).
-
-        `products` (m, B, 10), `squares` (m,) and `plane` (m,) are attributes of `PlaneErrors`; `freed`
-        (m, q) are its products with the weighed columns of the freed errors.
-        """
-        planes = products[:, :, BEAM.dim :].sum(axis=1)
-        beams = products[:, :, : BEAM.dim].reshape(len(products), self.pull.size)
-        beams = beams - np.einsum("mi,mij->mj", planes, self.response[plane])
-        moved = beams @ self.beam_inverse
-        left = squares - np.einsum("mi,mij,mj->m", planes, self.plane_inverse[plane], planes)
-        left -= (beams * moved).sum(axis=1)
-        following = freed @ self.freed_inverse
-        left -= (following * freed).sum(axis=1)
-        return moved - following @ self.freed_moved[: self.pull.size].T, left
+        return heavy[:, 0], float((rest * heavy).sum() + (pulled**2).sum())
 
 
 class CoupledProjection(Projection):
-    """The same for a whitening that couples readings before several planes: nothing is eliminated."""
+    """The same for a whitening that couples readings before several planes: nothing is eliminated.
+
+    `beam_inverse` is of beams and planes together, and no plane is left for `plane_inverse`.
+    """
 
     def _invert(self, normal: Normal, active: BoolArray) -> None:
         """Invert the information of beams and planes together; `normal` is of other weights."""
@@ -296,15 +276,10 @@ class CoupledProjection(Projection):
         self.unknowns = len(used)
         unit = 1.0 / np.sqrt(diagonal[used])
         scaled = np.linalg.inv(information[np.ix_(used, used)] * np.outer(unit, unit))
-        self.inverse = np.zeros_like(information)
-        self.inverse[np.ix_(used, used)] = scaled * np.outer(unit, unit)
+        self.beam_inverse = np.zeros_like(information)
+        self.beam_inverse[np.ix_(used, used)] = scaled * np.outer(unit, unit)
+        self.plane_inverse = np.empty((0, PLANE.dim, PLANE.dim))
 
     def following(self, gradient: FloatArray) -> FloatArray:
         """Return the beams and planes (7 B + 3 P, c) that follow from gradients by them."""
-        return np.asarray(self.inverse @ gradient)
-
-    def log_det_inverse(self) -> float:
-        """Return log det of the covariance of all unknowns: of beams and planes in units of sigma^2."""
-        used = np.flatnonzero(self.inverse.any(axis=0))
-        of_freed = np.linalg.slogdet(self.how.sigma**2 * self.freed_inverse)[1]
-        return float(np.linalg.slogdet(self.inverse[np.ix_(used, used)])[1] + of_freed)
+        return np.asarray(self.beam_inverse @ gradient)

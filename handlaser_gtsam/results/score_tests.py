@@ -163,11 +163,10 @@ class ScoreTests:
     def _adjusted(self, projection: Projection) -> AdjustedMembers:
         """Take out of all members, and of the residuals, what the unknowns explain."""
         moved, left = zip(*(kind.adjusted_by(projection) for kind in self.kinds), strict=True)
-        residual, priors = self.rows.residual[:, None], projection.prior_residuals(self.rows.at)
-        _, heavy, squares, _ = projection.perpendicular(residual, priors)
-        score = self.products(heavy)[:, 0]
+        heavy, square = projection.of_residuals(self.rows)
+        score = self.products(heavy[:, None])[:, 0]
         return AdjustedMembers(
-            projection, np.concatenate(left), np.concatenate(moved), score, float(squares[0])
+            projection, np.concatenate(left), np.concatenate(moved), score, square
         )
 
     def _determined(self, scale: FloatArray) -> BoolArray:
@@ -278,7 +277,7 @@ class ScoreTests:
     def _correlated(
         self, adjusted: AdjustedMembers, members: IntArray, columns: FloatArray
     ) -> FloatArray:
-        products = self.products(adjusted.projection.perpendicular(columns)[1]).T
+        products = self.products(adjusted.projection.perpendicular(columns)[0]).T
         left = np.where(self.determined, adjusted.left, np.inf)
         return np.asarray(products / np.sqrt(left[members, None] * left))
 
@@ -350,12 +349,12 @@ class CommonErrors:
 
     def adjusted_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
         """Return how beams follow the members (m, 7 B), and the adjusted squares (m,)."""
-        _, heavy, _, moved = projection.perpendicular(self.columns)
+        heavy, moved = projection.perpendicular(self.columns)
         return (moved @ self.mix).T, self._squares(heavy)
 
     def growth_by(self, shared: SharedErrors, projection: Projection) -> FloatArray:
         """Return by how much standard deviations of members (m,) are larger by shared errors."""
-        heavy = projection.perpendicular(self.columns)[1]
+        heavy = projection.perpendicular(self.columns)[0]
         more = np.einsum("ci,cd,di->i", self.mix, shared.variances(heavy), self.mix)
         left = np.maximum(self._squares(heavy), TINY) * projection.how.sigma**2
         return np.asarray(np.sqrt(np.maximum(1.0 + more / left, 1.0)))
@@ -416,8 +415,17 @@ class PlaneErrors:
 
     def adjusted_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
         """Return how beams follow the members (m, 7 B), and the adjusted squares (m,)."""
+        products, inverse = self.products, projection.plane_inverse[self.plane]
+        planes = products[:, :, BEAM.dim :].sum(axis=1)
+        beams = products[:, :, : BEAM.dim].reshape(len(products), projection.pull.size)
+        beams = beams - np.einsum("mi,mij->mj", planes, projection.response[self.plane])
+        moved = beams @ projection.beam_inverse
+        left = self.squares - np.einsum("mi,mij,mj->m", planes, inverse, planes)
+        left -= (beams * moved).sum(axis=1)
         freed = self.dot(projection.freed_heavy)
-        return projection.members(self.products, self.squares, self.plane, freed)
+        following = freed @ projection.freed_inverse
+        left -= (following * freed).sum(axis=1)
+        return moved - following @ projection.freed_moved[: projection.pull.size].T, left
 
     def _sum(self, rows: LinearRows) -> None:
         """Fill in the products and the squares."""

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag, cholesky, solve_triangular
+from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import coo_array, csr_array
 
 from ..arrays import FloatArray, IntArray, renumbered
@@ -31,7 +31,7 @@ from ..data.value import Value
 from ..errors import CalibrationWarning
 from ..estimation.errors_by_pose import ErrorsByPose, SizesByPose
 from ..model.families import BEAM, OF_DIRECTION, PLANE, POSE, modelled
-from ..model.joint import JointCovariance
+from ..model.joint import JointCovariance, beams_lift
 from ..model.weighting import moved_with_poses
 from ..quantities import KNOWN, MANY_OUTLIERS, TINY
 from .dependence import INDEPENDENT, Dependence
@@ -87,9 +87,9 @@ class SharedErrors(NamedTuple):
         How beams and planes follow them, in columns of unit variance.
     """
 
-    beams: FloatArray
-    across: FloatArray
-    planes: FloatArray
+    beams: FloatArray = np.empty((0, 0))
+    across: FloatArray = np.empty((0, 3, 0))
+    planes: FloatArray = np.empty((0, 3, 3))
     coupling: FloatArray | None = None
     growth: float = 1.0
     plane_growth: float = 1.0
@@ -206,7 +206,7 @@ class InCommon(Value):
         root = _root(alone.beams)
         half = solve_triangular(root, with_stops.beams - alone.beams, lower=True)
         stops = solve_triangular(root, half.T, lower=True)
-        lift = block_diag(*alone.beam_lifts()).reshape(-1, BEAM.size, len(root))
+        lift = beams_lift(alone.beam_bases, alone.terms).reshape(-1, BEAM.size, len(root))
         return cls(lift, root, stops, factor, whole.beams - factor * with_stops.beams)
 
     def arranged(self, order: Sequence[int]) -> "InCommon":
@@ -257,7 +257,7 @@ def _products(heavy: FloatArray, moved: FloatArray, at: IntArray) -> FloatArray:
     return np.asarray(columns @ columns.T)
 
 
-NOTHING_SHARED = SharedErrors(np.empty((0, 0)), np.empty((0, 3, 0)), np.empty((0, 3, 3)))
+NOTHING_SHARED = SharedErrors()
 """Of stations that are all elsewhere, or whose poses do not err."""
 
 
@@ -405,7 +405,10 @@ def _shared(rows: LinearRows, moved: FloatArray, row_stop: IntArray, visits: flo
     coupling = None
     if P <= COUPLED_PLANES:
         shape = P * PLANE.dim, len(sums) * POSE.dim
-        blocks = coo_array((together.ravel(), _places(of_plane, at_stop)), shape=shape).tocsr()
+        row = PLANE.dim * of_plane[:, None, None] + np.arange(PLANE.dim)[:, None]
+        column = POSE.dim * at_stop[:, None, None] + np.arange(POSE.dim)
+        places = [at.ravel() for at in np.broadcast_arrays(row, column)]
+        blocks = coo_array((together.ravel(), places), shape=shape).tocsr()
         coupling = (blocks @ blocks.T).toarray().reshape(P, PLANE.dim, P, PLANE.dim)
         coupling[np.arange(P), :, np.arange(P)] = planes
     # The mean of n visits has the variance s^2 / n + p^2 of reading and pose, not (s^2 + p^2) / n.
@@ -417,7 +420,9 @@ def _shared(rows: LinearRows, moved: FloatArray, row_stop: IntArray, visits: flo
         inverse, heavy = projection.freed_inverse, projection.freed_heavy
         differ = _products(heavy, moved, row_stop) - _products(heavy, moved, at[0])
         of_freed = inverse @ differ @ inverse
-    parts = beams, across, planes, coupling, _growth(root, beams), of_planes, of_freed
+    ratios = ((root @ beams) * root).sum(axis=1) / (root**2).sum(axis=1)
+    growth = float(np.sqrt(1.0 + max(ratios.max(), 0.0)))
+    parts = beams, across, planes, coupling, growth, of_planes, of_freed
     taken = float(np.trace(beams) + np.einsum("paa->", planes))
     return SharedErrors(*parts, moved, *at, root, taken)
 
@@ -443,20 +448,6 @@ def with_errors_by_pose(
         moves=projection.moves(moved),
         freed=freed,
     )
-
-
-def _growth(root: FloatArray, more: FloatArray) -> float:
-    """Return the largest ratio of standard deviations, one without and one with `more` (nb, nb)."""
-    ratios = ((root @ more) * root).sum(axis=1) / (root**2).sum(axis=1)
-    return float(np.sqrt(1.0 + max(ratios.max(), 0.0)))
-
-
-def _places(plane: IntArray, stop: IntArray) -> tuple[IntArray, IntArray]:
-    """Return rows and columns (18 S,) of blocks (S, 3, 6) of planes and stops (S,)."""
-    row = PLANE.dim * plane[:, None, None] + np.arange(PLANE.dim)[:, None]
-    column = POSE.dim * stop[:, None, None] + np.arange(POSE.dim)
-    row, column = np.broadcast_arrays(row, column)
-    return row.ravel(), column.ravel()
 
 
 def _followed(

@@ -35,7 +35,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh
 
 from .. import model
 from ..arrays import FloatArray
@@ -326,11 +326,9 @@ def measured_plane(calibration: CalibrationData, readings: Mapping[str, float]) 
     n, middle = found
     n = n if v.mean(axis=0) @ n > 0.0 else -n
     # The heights of the spots above the plane: by all coordinates, and by the readings.
-    heights = np.zeros((len(names), BEAM.size * len(names)))
-    noise = np.zeros(len(names))
-    for i, (name, (_, J, slope)) in enumerate(zip(names, spots, strict=True)):
-        heights[i, BEAM.size * i : BEAM.size * (i + 1)] = n @ J
-        noise[i] = (n @ v[i]) * slope * _range_sigma(calibration, name)
+    heights = block_diag(*(n @ J for _, J, _ in spots))
+    each = zip(names, spots, strict=True)
+    noise = (v @ n) * [slope * _range_sigma(calibration, name) for name, (*_, slope) in each]
     S = heights @ joint.matrix(names, []) @ heights.T + np.diag(noise**2)
     basis = model.tangent_basis(n[None])[0]
     A = np.column_stack(((X - middle) @ basis, np.ones(len(names))))

@@ -196,19 +196,15 @@ def systematic_errors(
             others = tuple(code for code in codes if code != tests.codes[member])
             concerns = tests.plane[member], tests.beam[member], tests.position[member]
             subject = subject_in_words(str(tests.codes[member]), *concerns, names, stations)
-            most = plausible.get(str(tests.codes[member]), np.inf)
-            reports.append(_report(tests, member, subject, explained[number], others, names, most))
+            reports.append(_report(tests, member, subject, explained[number], others, names))
     tested = {report.code for report in reports}
     confounded = [
         code
         for code, effect in EFFECTS.items()
         if code not in (*tested, *rows.freed.codes) and effect.concerns(rows)
     ]
-    found_errors = (
-        *reports,
-        *(_confounded(tests, code, names, plausible) for code in confounded),
-    )
-    return found_errors, together, shared
+    reports += [_confounded(tests, code, names, plausible) for code in confounded]
+    return tuple(reports), together, shared
 
 
 def _learned_by_pose(
@@ -241,7 +237,6 @@ def _report(
     explained: str,
     others: tuple[str, ...],
     names: BeamAndPlaneNames,
-    plausible: float,
 ) -> SystematicError:
     """Return the report of an error that was tested, given its clearest member."""
     code, p, size = str(tests.codes[member]), float(tests.p[member]), float(tests.size[member])
@@ -270,7 +265,7 @@ def _report(
         found=found,
         explained_by=explained if found else "",
         detectable=float(tests.detectable[family].max()),
-        plausible=plausible,
+        plausible=float(tests.plausible[member]),
         location_shift=unnoticed[0][order],
         direction_shift=unnoticed[1][order],
         spot_shift=unnoticed[2][order],

@@ -336,9 +336,8 @@ def verdict(
     )
     asked = shares
     if limiting is not None:
-        of: Literal["location", "direction"] = "location"
-        if limiting.quantity == "direction_sigma":
-            of = "direction"
+        of: Literal["location", "direction"]
+        of = "direction" if limiting.quantity == "direction_sigma" else "location"
         owner = limiting.subject.removeprefix("beam ")
         asked = variance_shares(calibration, owner, reading, of)
     best = improvement(calibration, asked, harmful, failed, doubtful)
@@ -440,12 +439,9 @@ def _none(calibration: CalibrationData, reading: float) -> Verdict:
         if not says_why:
             causes = (CalibrationWarning(code, calibration.message), *causes)
         return Verdict(code, (words,), best, reading, causes=causes)
-    words = found.advice[0] if found.advice else said("best:recording")
-    what = calibration.message
-    if found.undetermined:
-        first, *more = found.undetermined
-        others = list(dict.fromkeys(one.partition(":")[0] for one in more))
-        what = first + (f"; and unknowns of {some(others, NAMES_IN_LINE)}" if others else "")
+    words, (what, *more) = found.advice[0], found.undetermined
+    others = list(dict.fromkeys(one.partition(":")[0] for one in more))
+    what += f"; and unknowns of {some(others, NAMES_IN_LINE)}" if others else ""
     best = Improvement("more-motion", words)
     causes = CalibrationWarning("undetermined", calibration.message), *calibration.warnings
     return Verdict("undetermined", (clause(what), clause(words)), best, reading, causes=causes)

@@ -6,7 +6,7 @@ Their words stand in `messages.toml`; a new one is yielded by `fit_warnings`. Su
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,8 +29,6 @@ from ..model.distributions import (
     chi2_sf,
 )
 from ..model.equation import cosines, plausible_range_errors, scene
-from ..model.families import MOUNT_DIM
-from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..model.sensor_limits import BY_LIMITS, LONG_RANGE
 from ..observability.wording import BeamAndPlaneNames
@@ -42,7 +40,7 @@ from ..starts.directions import direction_starts
 from ..starts.growing import grow
 from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
 from ..text import count
-from .calibration_data import Fit
+from .calibration_data import Beam, Fit
 from .messages import Values, warned
 
 FAR_BEAM = 3.0
@@ -270,21 +268,29 @@ def rival_warnings(
     used: Readings,
     solution: Solution,
     fit: Fit,
-    joint: JointCovariance | None,
+    beams: Mapping[str, Beam],
     names: BeamAndPlaneNames,
 ) -> Iterator[CalibrationWarning]:
     """Yield warnings of mounts that are nearly as probable, and not within what is stated.
 
     At most one of each beam, the most probable.
     """
-    if joint is None or solution.at.loss != GAUSSIAN:
+    sigmas = {
+        name: beam.direction_sigma
+        for name, beam in beams.items()
+        if beam.direction_sigma is not None
+    }
+    if len(sigmas) < len(beams) or solution.at.loss != GAUSSIAN:
         return
     if not solution.observability.full or fit.dof <= 0:
         return
     if fit.rms <= EXACT * used.largest_range():
         return
     at = solution.parameters
-    starts = [at, *_other_mounts(at, used, fit.range_sigma), *_around(used, solution)]
+    starts = [at, *_other_mounts(at, used, fit.range_sigma)]
+    if used.beams == 1 and solution.redundancy < solution.observability.unknowns:
+        # Planes rest on few readings of one beam, and go with its mount: from all around.
+        starts += [grow(start, used) for start in direction_starts(used, 2 * MINIMUM_STARTS)]
     if len(starts) == 1:
         return
     how = fit.range_sigma if solution.whitening is None else [solution.whitening] * len(starts)
@@ -292,11 +298,6 @@ def rival_warnings(
     each = [used] * len(starts)
     ends = solve_together(each, starts, solution.terms, how, solution.prior, options)
     here, worse = ends.parameters[0], 2.0 * (ends.cost - ends.cost[0])
-    # Standard deviations of each direction, along its least certain axis.
-    first = np.cumsum([0, *(MOUNT_DIM + terms for terms in joint.terms[:-1])])
-    rows = first[:, None] + np.array([3, 4])
-    blocks = joint.beams[rows[:, :, None], rows[:, None, :]]
-    sigma = np.sqrt(np.linalg.eigvalsh(blocks)[:, -1])
     named = set[str]()
     for k in np.argsort(worse, kind="stable").tolist():
         there, chi2 = ends.parameters[k], float(worse[k])
@@ -304,8 +305,8 @@ def rival_warnings(
             return
         turn = np.linalg.norm(there.directions - here.directions, axis=1)
         near = np.linalg.norm(there.locations, axis=1) < FAR_BEAM
-        for (name, beam), one in zip(names.beams, sigma.tolist(), strict=True):
-            if name not in named and near[beam] and turn[beam] >= FAR_SIGMAS * one:
+        for name, beam in names.beams:
+            if name not in named and near[beam] and turn[beam] >= FAR_SIGMAS * sigmas[name]:
                 named.add(name)
                 values: Values = {
                     "beam": name,
@@ -332,13 +333,6 @@ def _other_mounts(at: Parameters, used: Readings, sigma: float) -> Iterator[Para
         r, v = at.locations.copy(), at.directions.copy()
         r[beam], v[beam] = locations[beam, one], directions[beam, one]
         yield replace(at, locations=r, directions=v)
-
-
-def _around(used: Readings, solution: Solution) -> Iterator[Parameters]:
-    """Yield mounts all around where planes rest on few readings of one beam, and go with its mount."""
-    if used.beams == 1 and solution.redundancy < solution.observability.unknowns:
-        for start in direction_starts(used, 2 * MINIMUM_STARTS):
-            yield grow(start, used)
 
 
 def contradicted_sigmas(

@@ -104,9 +104,7 @@ class WholeSolution:
         readings, prior = part.readings(), self.prior
         origins = readings.plane_means(readings.world_t_hand)
         readings, at = readings.seen_from(origins), self.at.part(beams, planes).seen_from(origins)
-        if prior is not None:
-            mean = None if prior.mean is None else prior.mean[beams]
-            prior = RangeErrorPrior(prior.sigma[beams], mean)
+        prior = None if prior is None else prior.part(beams)
 
         def seen(at: Parameters) -> tuple[Observability, Readings, Whitening]:
             corrected, how = weighed(readings, at, variances, self.terms)
