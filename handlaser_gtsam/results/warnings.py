@@ -39,7 +39,6 @@ from ..solvers.beam_problem import LEAST_DAMPING, solve_together
 from ..starts.beam_minima import MINIMUM_STARTS, beam_minima
 from ..starts.choice import POOR_START
 from ..starts.directions import direction_starts
-from ..starts.growing import grow
 from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
 from ..text import count
 from .calibration_data import Fit
@@ -337,8 +336,7 @@ def _other_mounts(at: Parameters, used: Readings, sigma: float) -> Iterator[Para
 def _around(used: Readings, solution: Solution) -> Iterator[Parameters]:
     """Yield mounts all around where planes rest on few readings of one beam, and go with its mount."""
     if used.beams == 1 and solution.redundancy < solution.observability.unknowns:
-        for start in direction_starts(used, 2 * MINIMUM_STARTS):
-            yield grow(start, used)
+        yield from direction_starts(used, 2 * MINIMUM_STARTS)
 
 
 def contradicted_sigmas(
