@@ -232,7 +232,7 @@ def _spot_variance(result: "SurveyCalibration", number: int, times: float) -> fl
     found, J = result._found, result.mounts[number].spot_by()
     family, member = list(found.rows.mounts)[number]
     problem = found.problem(times)
-    axes = information_axes(problem, problem.blocks, problem.start)
+    axes = information_axes(problem, problem.start)
     # Range errors of a sensor stand after the unknowns of where it is.
     first = int(problem.places().place[family][member])
     return float(np.trace(covariance_along(axes, J, first)))
