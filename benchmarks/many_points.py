@@ -108,7 +108,7 @@ def compare(survey: Survey) -> None:
         )
         begin = time.process_time()
         problem = BlockProblem(some, start, rows.unknown(), rows.length)
-        ended = minimum(problem, some, start)
+        ended = minimum(problem, start)
         if ended is None:
             raise RuntimeError("no minimum")
         ends.append((ended, problem.rows(some, ended)))

@@ -57,7 +57,6 @@ from handlaser_gtsam.solvers.graph_levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.gtsam_sums import eliminated_sums
 from handlaser_gtsam.solvers.reference.problem import Residuals, minimize
 from handlaser_gtsam.starts import find_start
-from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.translations import translation_start
 from handlaser_gtsam.validation.cross_check import recording_problem
 from handlaser_gtsam.validation.scenes import Layout, paper
@@ -97,7 +96,7 @@ def closed_form(readings: Readings) -> Parameters:
     start = translation_start(readings)
     if start is None:
         raise SystemExit("the benchmark's recording has no pure translations")
-    return grow(start, readings)
+    return start
 
 
 def solve_graph(readings: Readings, start: Parameters) -> tuple[float, int]:

@@ -13,7 +13,6 @@ from handlaser_gtsam.model.losses import Loss
 from handlaser_gtsam.outliers.consensus import ConsensusJudge
 from handlaser_gtsam.solvers.beam_problem import Candidate, refine_many
 from handlaser_gtsam.starts.directions import direction_starts, subset_starts
-from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.robust import mended
 
 EXACT = Scene(joint_sigma_deg=0.0, range_sigma=0.0, k1=0.0, k2=0.0)
@@ -96,8 +95,7 @@ def labelled(seed=1):
 
 def reached(starts, readings, truth):
     """How many starts the robust refinement brings within 2 degrees of the truth."""
-    grown = [grow(start, readings) for start in starts]
-    found = refine_many(grown, readings, 0, 40, RobustLoss(Loss("cauchy"), 1e-9, 0.65))
+    found = refine_many(starts, readings, 0, 40, RobustLoss(Loss("cauchy"), 1e-9, 0.65))
     turn = [
         np.linalg.norm(np.cross(f.parameters.directions, truth.directions), axis=1) for f in found
     ]
@@ -113,8 +111,7 @@ def test_a_sweep_on_subsets_survives_a_station_of_another_plane():
 
 def solved_without_the_wrong(readings, bad):
     good = readings.subset(np.flatnonzero(~bad))
-    starts = [grow(start, good) for start in direction_starts(good, 8)]
-    found = refine_many(starts, good, 2, 40)
+    found = refine_many(direction_starts(good, 8), good, 2, 40)
     return min((f for f in found if f is not None), key=lambda f: f.criterion).parameters
 
 
@@ -154,6 +151,6 @@ def test_agreement_by_chance_is_told_from_a_solution():
     assert ConsensusJudge(readings, 2, None).beyond_chance(solution) > 100.0
     rng = np.random.default_rng(0)
     noise = replace(readings, distance=rng.uniform(0.1, 0.5, len(readings)))
-    starts = [grow(start, noise) for start in direction_starts(noise, 8)]
+    starts = direction_starts(noise, 8)
     for one in refine_many(starts, noise, 2, 40, RobustLoss(Loss("cauchy"), 1e-9, 0.65)):
         assert ConsensusJudge(noise, 2, None).beyond_chance(one) < 0.0

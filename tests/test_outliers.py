@@ -14,7 +14,6 @@ from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.outliers import reading_tests
 from handlaser_gtsam.outliers.reading_tests import judge, leverages, screen, standardized
 from handlaser_gtsam.starts.directions import direction_starts
-from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.robust import robust_search
 from handlaser_gtsam.validation.scenes import Layout
 
@@ -212,7 +211,7 @@ def test_too_few_agreeing_readings_are_no_consensus():
 def test_robust_starts_agree_on_the_good_readings():
     recording, truth = simulated("arm", Layout(2, 3, 14), SIGMA["arm"])
     readings = spoilt(recording, 0.3, 4).readings()
-    others = [grow(start, readings) for start in direction_starts(readings, 2)]
+    others = direction_starts(readings, 2)
 
     def scale_of(refined):
         return refined.scale

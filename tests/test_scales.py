@@ -18,9 +18,10 @@ from handlaser_gtsam.estimation.scale_mixture import (
     GRID_POINTS,
     SCALE_SPAN,
     BeamPosterior,
-    Information,
     RangeErrorGrid,
+    information_of,
     near_largest,
+    parts_of,
     refined_grid,
     widest_grids,
     worst_known,
@@ -168,15 +169,14 @@ def test_the_information_is_that_of_dense_matrices(terms, incidence, by_beam, al
     pose = np.array([ROTATION, 0.5 * ROTATION, 2.0 * ROTATION, 1e-5, TRANSLATION, 1e-4])
     sets = [(ranges, pose), (1.7 * ranges, 0.3 * pose), (0.6 * ranges, np.zeros(6))]
     found, _ = rows.information(*(np.array(scales) for scales in zip(*sets, strict=True)))
+    A, b, c = parts_of(found)
     expected = [dense.reduced(dense.covariance(*one, incidence)) for one in sets]
     for j, (matrix, vector, constant) in enumerate(expected):
         scale = np.sqrt(np.diag(matrix))
-        assert np.abs((found.matrix[j] - matrix) / np.outer(scale, scale)).max() < 1e-9
-        assert np.abs((found.vector[j] - vector) / scale).max() < 1e-6
+        assert np.abs((A[j] - matrix) / np.outer(scale, scale)).max() < 1e-9
+        assert np.abs((b[j] - vector) / scale).max() < 1e-6
         # Constants that are the same for all sets do not matter.
-        assert found.constant[j] - found.constant[0] == pytest.approx(
-            constant - expected[0][2], abs=1e-5
-        )
+        assert c[j] - c[0] == pytest.approx(constant - expected[0][2], abs=1e-5)
 
 
 def test_the_mode_is_that_of_the_textbook():
@@ -555,7 +555,7 @@ def test_a_prior_far_narrower_than_the_widest_loses_no_digit():
     matrix, vector = rows.T @ rows, rows.T @ rng.standard_normal(40)
     k = np.array([[1e-9, -2e-9], [3e-9, 1e-9]])
     scale = np.array([2e-9, 1e-9])
-    information = Information(matrix[None], vector[None], np.zeros(1))
+    information = information_of(matrix[None], vector[None], np.zeros(1))
     known = [RangeErrorGrid.at(scale, np.zeros(2))]
     mean, covariance, _ = BeamPosterior(information, k, 0.9).integrated(known, np.zeros(1))
     places = np.array([5, 6, 12, 13])

@@ -21,9 +21,10 @@ from handlaser_gtsam.solvers.graph_levenberg import levenberg_marquardt
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.choice import mean_squares_at_a_glance
 from handlaser_gtsam.starts.directions import direction_starts, random_starts, sphere
-from handlaser_gtsam.starts.growing import PartialStart, excerpt_of, grow
+from handlaser_gtsam.starts.growing import excerpt_of, grown_from
 from handlaser_gtsam.starts.one_beam_one_plane import lifted_starts, sweep_starts
 from handlaser_gtsam.starts.translations import (
+    _normals_and_directions,
     translation_start,
     translation_start_with_range_errors,
 )
@@ -44,7 +45,7 @@ def closed_form(truth, R, t, plane, sigma=0.0):
     readings = recording_of(truth, R, t, plane, sigma).readings()
     start = translation_start(readings)
     assert start is not None
-    return grow(start, readings)
+    return start
 
 
 def assert_exact(found: Parameters, truth: Parameters, tolerance=EXACT):
@@ -95,10 +96,12 @@ def test_a_beam_that_misses_the_translations_grows_from_the_planes():
     recording = recording_of(truth, np.vstack((R, free_R)), np.vstack((t, free_t)), [0] * 20, 0.0)
     readings = recording.readings()
     keep = np.flatnonzero((readings.beam != 2) | (readings.station >= 10))
+    known = _normals_and_directions(readings.subset(keep))
+    assert known is not None
+    assert np.isnan(known.directions[2]).all()
     start = translation_start(readings.subset(keep))
     assert start is not None
-    assert np.isnan(start.directions[2]).all()
-    assert_exact(grow(start, readings.subset(keep)), truth)
+    assert_exact(start, truth)
 
 
 def test_range_scale_is_taken_out_of_the_direction():
@@ -128,7 +131,7 @@ def test_sweep_from_any_motion(seed):
     readings = recording.readings()
     start = sweep_starts(readings)[0]
     # The sweep refines by Gauss-Newton until the cost is at rounding: 1e-9 is far inside its basin.
-    location, direction = largest_error(grow(start, readings), bench(1, 1))
+    location, direction = largest_error(start, bench(1, 1))
     assert location < 1e-6
     assert direction < 1e-6
 
@@ -174,7 +177,7 @@ def test_misleading_translations_lose_against_the_sweep():
 def test_growing_fills_what_nothing_reaches():
     recording = recording_of(bench(1), *motion("free", 4), [0] * 4, 0.0)
     readings = recording.readings()
-    found = grow(PartialStart.of(readings), readings)
+    found = grown_from(readings)
     assert found.finite()
     assert np.allclose(np.linalg.norm(found.normals, axis=1), 1.0)
 
@@ -183,10 +186,7 @@ def test_a_start_that_grazes_is_straightened():
     """A beam along the plane it is thought to see: the plane turns, and a solver can start."""
     readings = recording_of(bench(1, 1), *motion("free", 10), [0] * 10, 0.0).readings()
     v = readings.world_R_hand[0].T @ np.array([1.0, 0.0, 0.0])
-    start = PartialStart(
-        np.zeros((1, 3)), v[None], np.array([[0.0, 0.0, 1.0]]), np.zeros(1), np.zeros((1, 2))
-    )
-    found = grow(start, readings)
+    found = grown_from(readings, r=np.zeros(3), v=v, n=np.array([0.0, 0.0, 1.0]), b=0.0)
     model.linearize(model.scene(found, readings), readings.distance)
     assert (model.cosines(model.scene(found, readings)) > 0.1).all()
 
@@ -215,9 +215,8 @@ def test_planes_known_the_wrong_way_round_are_turned():
     """(-n, -b) is the same plane: the grown start has its normal away from the sensor."""
     truth = bench(2)
     readings = recording_of(truth, *motion("free", 20), [0] * 10 + [1] * 10, 0.0).readings()
-    start = PartialStart.of(readings)
-    start.normals[0], start.offsets[0] = -truth.normals[0], -truth.offsets[0]
-    assert_exact(grow(start, readings), truth)
+    found = grown_from(readings, planes=0, n=-truth.normals[0], b=-truth.offsets[0])
+    assert_exact(found, truth)
 
 
 def test_the_lifted_form_is_exact_from_21_stations():
@@ -225,7 +224,7 @@ def test_the_lifted_form_is_exact_from_21_stations():
     readings = recording_of(truth, *motion("free", 24), [0] * 24, 0.0).readings()
     starts = lifted_starts(readings, 1)
     assert len(starts) == 1
-    assert_exact(grow(starts[0], readings), truth)
+    assert_exact(starts[0], truth)
 
 
 @pytest.mark.parametrize("kind", ["translations", "one axis"])
@@ -240,9 +239,8 @@ def test_translations_determine_range_errors_in_closed_form():
     truth = replace(plain, range_errors=k)
     R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1], [0.2, 0.2, 0.3]], [7, 2, 2, 2])
     readings = recording_of(truth, R, t, [0] * 13, 0.0).readings()
-    start = translation_start_with_range_errors(readings)
-    assert start is not None
-    found = grow(start, readings)
+    found = translation_start_with_range_errors(readings)
+    assert found is not None
     assert_exact(found, truth)
     assert np.abs(found.range_errors - k).max() < 1e-9
 
@@ -257,7 +255,7 @@ def test_random_starts_reach_what_the_sweeps_do_not_need():
     """Beams far from the hand's origin, few stations of each plane: some random start arrives."""
     recording, truth = simulated("arm", Layout(2, 4, 6), 0.0)
     readings = recording.readings()
-    starts = [grow(s, readings) for s in random_starts(readings, 40, np.random.default_rng(0))]
+    starts = random_starts(readings, 40, np.random.default_rng(0))
     refined = [one for one in refine_many(starts, readings, 0, 60) if one is not None]
     best = min(refined, key=lambda one: one.criterion)
     assert_exact(best.parameters, truth, 1e-6)
@@ -293,7 +291,7 @@ def test_a_long_recording_is_searched_in_part():
 
 def test_many_candidates_refine_as_each_alone():
     readings = recording_of(bench(2), *motion("free", 20), [0] * 10 + [1] * 10, 1e-4).readings()
-    starts = [grow(s, readings) for s in direction_starts(readings, 5)]
+    starts = direction_starts(readings, 5)
     together = refine_many(starts, readings, 0, 12)
     assert sum(one is not None for one in together) > 3
     for start, one in zip(starts, together, strict=True):

@@ -1,6 +1,5 @@
 """What is refused of a problem of blocks: starts that are none, and blocks that do not fit them."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,17 +63,17 @@ def _require_on_manifold(family: str, x: FloatArray) -> None:
             raise InputError(f"a start of {family} that is off by {off.max():.2g}", what)
 
 
-def require_blocks(problem: "BlockProblem", blocks: Sequence[Block]) -> None:
+def require_blocks(problem: "BlockProblem") -> None:
     """Refuse blocks whose members, weights or rows do not belong to the start.
 
     Raises
     ------
     InputError
     """
-    if not blocks:
+    if not problem.blocks:
         raise InputError("no blocks", "one or more")
     first = {name: x[:1] for name, x in problem.start.items()}
-    for index, block in enumerate(blocks):
+    for index, block in enumerate(problem.blocks):
         if not isinstance(block, Block):
             raise InputError(f"{type(block).__name__} as block {index}", "a `Ranges` or `Relation`")
         _require_slots(problem, index, block)

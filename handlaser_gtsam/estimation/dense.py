@@ -14,7 +14,7 @@ from ..model.block import Block, Values, whitened
 from ..model.condensed_shots import Mixed
 from ..model.families import FAMILIES, POSE
 from ..model.weighting import Whitening, covariance_roots
-from ..quantities import SINGULAR, TINY
+from ..quantities import NEGLIGIBLE, SINGULAR, TINY
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,6 +180,27 @@ def _with_own_errors(block: Block, A: FloatArray) -> tuple[Block, FloatArray]:
     root = np.einsum("gss->gs", white)[None]
     root = root if block.weights.root is None else block.weights.root * root
     return replace(block, weights=replace(block.weights, root=root)), white  # type: ignore[type-var]
+
+
+def spanned(J: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Return what derivatives J (R, N) span, whatever the units of their columns.
+
+    Returns
+    -------
+    known : (R, k)
+        Orthonormal columns with their span; what depends on others but for rounding is none.
+    inverse : (N, R)
+        The pseudoinverse of J.
+    log_det : float
+        Of J'J along what is spanned.
+    """
+    scale = np.sqrt((J**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    U, size, V = np.linalg.svd(J / scale, full_matrices=False)
+    some = size > NEGLIGIBLE * size.max(initial=0.0)
+    known, size = U[:, some], size[some]
+    log_det = 2.0 * float(np.log(size).sum() + np.log(scale).sum())
+    return known, (V[some].T / size / scale[:, None]) @ known.T, log_det
 
 
 def filled(rows: FloatArray, group: IntArray) -> FloatArray:

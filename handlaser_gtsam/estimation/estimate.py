@@ -30,7 +30,7 @@ from ..observability.rank import ObservabilityOptions
 from ..quantities import NEGLIGIBLE, ROWS_AT_ONCE, SINGULAR
 from ..solvers.gtsam_sums import eliminated_sums
 from .block_checks import require_blocks, require_start
-from .dense import DenseRows, Unknowns, dense_rows, tests_of, unknowns_of
+from .dense import DenseRows, Unknowns, dense_rows, spanned, tests_of, unknowns_of
 
 Name = TypeVar("Name", bound=Hashable)
 MOST_REJECTED = 0.3
@@ -198,21 +198,19 @@ def estimate(problem: BlockProblem) -> Estimate:
         A start that is none; blocks whose members, readings or weights do not belong to it.
     """
     require_start(problem)
-    blocks = [_read(block) for block in problem.blocks]
-    require_blocks(problem, blocks)
-    ended = minimum(problem, blocks, problem.start)
+    left = given = replace(problem, blocks=[_read(block) for block in problem.blocks])
+    require_blocks(given)
+    ended = minimum(given, given.start)
     if ended is None:
-        return _failed(problem, blocks)
-    total = _rows(_readings(blocks), ended)
+        return _failed(given)
+    total = _rows(_readings(given.blocks), ended)
     for _ in range(int(MOST_REJECTED * total)):
-        rest = _without_worst(problem, blocks, ended)
-        if rest is None:
+        rest = _without_worst(left, ended)
+        again = None if rest is None else minimum(rest, ended)
+        if rest is None or again is None:
             break
-        again = minimum(problem, rest, ended)
-        if again is None:
-            break
-        blocks, ended = rest, again
-    return judged(problem, blocks, ended)
+        left, ended = rest, again
+    return judged(left, ended, given.blocks)
 
 
 def score_test(
@@ -274,20 +272,17 @@ def tested_columns(
     dict
         Of each: the test, and by how much (N,) the unknowns are wrong if it is of size 1.
     """
-    scale = np.sqrt((J**2).sum(axis=0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    pseudo = np.linalg.pinv(J / scale, rcond=NEGLIGIBLE)
+    known, inverse, _ = spanned(J)
     critical, delta = needed(FAMILY_LEVEL / max(len(columns), 1), None)
     tested = {}
     for name, a in columns.items():
-        follows = pseudo @ a
-        rest = a - J / scale @ follows
+        rest = a - known @ (known.T @ a)
         left = float(rest @ rest)
         effect = TestedEffect(np.nan, np.inf, np.inf, False)
         if left > SINGULAR * float(a @ a):
             size, sigma = -float(rest @ e) / left, left**-0.5
             effect = TestedEffect(size, sigma, delta * sigma, abs(size) > critical * sigma)
-        tested[name] = effect, follows / scale
+        tested[name] = effect, inverse @ a
     return tested
 
 
@@ -305,18 +300,24 @@ def kept_blocks(problem: BlockProblem, found: Estimate) -> list[Block]:
 
 
 def minimum(
-    problem: BlockProblem, blocks: Sequence[Block], start: Values
+    problem: BlockProblem, start: Values, most: int | None = None
 ) -> dict[str, FloatArray] | None:
-    """Return the values (1, n, size) at the best minimum from a start; None where there is none."""
+    """Return the values (1, n, size) at the best minimum from a start; None where there is none.
+
+    Where the `most` iterations are given, it ends after these, at rest or not: along what is
+    undetermined a search may wander without end, while chi2 has settled long before.
+    """
+    options = LevenbergOptions(least_damping=SINGULAR)
+    options = options if most is None else replace(options, max_iterations=most)
     K = max(len(x) for x in start.values())
     first = {name: x[:1] for name, x in start.items()}
-    share = max(ROWS_AT_ONCE // max(_rows(blocks, first), 1), 1)
+    share = max(ROWS_AT_ONCE // max(_rows(problem.blocks, first), 1), 1)
     best, least = None, np.inf
     for a in range(0, K, share):
         some = {name: x if len(x) == 1 else x[a : a + share] for name, x in start.items()}
-        task = _least_squares(problem, blocks, min(share, K - a), first)
-        ended = search(task, some, LevenbergOptions(least_damping=SINGULAR))
-        cost = np.where(ended.converged, ended.cost, np.inf)
+        task = _least_squares(problem, min(share, K - a), first)
+        ended = search(task, some, options)
+        cost = np.where(ended.converged | (most is not None), ended.cost, np.inf)
         here = int(cost.argmin())
         if cost[here] < least:
             least = float(cost[here])
@@ -324,33 +325,18 @@ def minimum(
     return best
 
 
-def descended(
-    problem: BlockProblem, blocks: Sequence[Block], start: Values, iterations: int
-) -> dict[str, FloatArray] | None:
-    """Return where a search of at most `iterations` ends, at rest or not; None where it fails.
-
-    Along what is undetermined a search may wander without end, while chi2 has settled long before.
-    """
-    ends = search_from(problem, blocks, start, iterations)
-    return dict(ends.values) if np.isfinite(ends.cost[0]) else None
-
-
-def search_from(
-    problem: BlockProblem, blocks: Sequence[Block], start: Values, iterations: int
-) -> Searched:
+def search_from(problem: BlockProblem, start: Values, iterations: int) -> Searched:
     """Return where searches of at most `iterations` from K starts end, at rest or not."""
     K = max(len(x) for x in start.values())
-    task = _least_squares(problem, blocks, K, {name: x[:1] for name, x in start.items()})
+    task = _least_squares(problem, K, {name: x[:1] for name, x in start.items()})
     return search(task, start, LevenbergOptions(iterations, least_damping=SINGULAR))
 
 
-def _least_squares(
-    problem: BlockProblem, blocks: Sequence[Block], K: int, values: Values
-) -> LeastSquares:
-    reduction = reduction_of(blocks, problem.counts(), problem.unknown)
+def _least_squares(problem: BlockProblem, K: int, values: Values) -> LeastSquares:
+    reduction = reduction_of(problem.blocks, problem.counts(), problem.unknown)
     size = reduction.size + reduction.members * reduction.width
-    dof = max(_rows(blocks, values) - size, 1)
-    return LeastSquares(tuple(blocks), reduction, np.ones(K), np.zeros(K), dof)
+    dof = max(_rows(problem.blocks, values) - size, 1)
+    return LeastSquares(tuple(problem.blocks), reduction, np.ones(K), np.zeros(K), dof)
 
 
 def _counted(block: Block, values: Values) -> BoolArray:
@@ -387,17 +373,15 @@ def _kept(block: Block, out: BoolArray) -> Block:
     return replace(block, weights=replace(block.weights, root=np.where(out, 0.0, root)))
 
 
-def _without_worst(
-    problem: BlockProblem, blocks: Sequence[Block], values: Values
-) -> list[Block] | None:
-    """Return the blocks without the reading that the others contradict most, if any do.
+def _without_worst(problem: BlockProblem, values: Values) -> BlockProblem | None:
+    """Return the problem without the reading that the others contradict most, if any do.
 
     A reading is judged by its residual over the standard deviation that it should have, with the
     reading itself in the estimate (Baarda's w); the bound counts how many are judged.
     """
-    rows = problem.rows(blocks, values)
+    rows = problem.rows(problem.blocks, values)
     tested = np.zeros(len(rows.residuals), dtype=bool)
-    for block, part in zip(blocks, rows.where, strict=True):
+    for block, part in zip(problem.blocks, rows.where, strict=True):
         tested[part] = isinstance(block, Ranges)
     tested &= rows.residuals != 0.0
     if not tested.any():
@@ -409,24 +393,27 @@ def _without_worst(
         return None
     worst = int(np.flatnonzero(tested)[worst])
     outs = [np.arange(part.start, part.stop) == worst for part in rows.where]
-    return [_kept(block, out) for block, out in zip(blocks, outs, strict=True)]
+    pairs = zip(problem.blocks, outs, strict=True)
+    return replace(problem, blocks=[_kept(block, out) for block, out in pairs])
 
 
-def judged(problem: BlockProblem, blocks: Sequence[Block], values: Values) -> Estimate:
-    """Return the estimate at a minimum, GTSAM's last step taken where everything is determined."""
-    names = problem.places().names
-    open_axes, undetermined, covariance = _undetermined(problem, blocks, values, names)
+def judged(problem: BlockProblem, values: Values, given: Sequence[Block] = ()) -> Estimate:
+    """Return the estimate at a minimum, GTSAM's last step taken where everything is determined.
+
+    Blocks that were `given` may have readings that are rejected in the problem.
+    """
+    blocks, names = problem.blocks, problem.places().names
+    open_axes, undetermined, covariance = _undetermined(problem, values, names)
     if not undetermined:
         # Where GTSAM calls it indeterminate the covariance of the dense rows stands.
         with contextlib.suppress(RuntimeError, np.linalg.LinAlgError):
-            values, covariance = _finished(problem, blocks, values)
+            values, covariance = _finished(problem, values)
     _, e = problem.rows(blocks, values).whitened()
     chi2, open_ = float(e @ e), open_axes.shape[1]
     dof = _rows(blocks, values) - len(names) + open_
-    read = [_read(block) for block in problem.blocks]
-    pairs = zip(read, blocks, strict=True)
+    pairs = zip(given or blocks, blocks, strict=True)
     out = tuple(_counted(b, values) & ~_counted(left, values) for b, left in pairs)
-    readings = _rows(_readings(read), values)
+    readings = _rows(_readings(given or blocks), values)
     many = sum(int(rows.sum()) for rows in out) >= int(MOST_REJECTED * readings) > 0
     status: Literal["converged", "undetermined", "contradicted"] = "converged"
     message = f"chi2 {chi2:.4g} at {dof} degrees of freedom"
@@ -449,13 +436,13 @@ def judged(problem: BlockProblem, blocks: Sequence[Block], values: Values) -> Es
 
 
 def information_axes(
-    problem: BlockProblem, blocks: Sequence[Block], values: Values
+    problem: BlockProblem, values: Values
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the information (N,) of independent directions, these as columns (N, N), and units (N,).
 
     Directions are of unknowns in natural units; the last result has these units in SI units.
     """
-    J, _ = problem.rows(blocks, values).whitened()
+    J, _ = problem.rows(problem.blocks, values).whitened()
     of = problem.places()
     unit = np.concatenate(
         [
@@ -513,13 +500,13 @@ def covariance_along(
 
 
 def _undetermined(
-    problem: BlockProblem, blocks: Sequence[Block], values: Values, names: Sequence[str]
+    problem: BlockProblem, values: Values, names: Sequence[str]
 ) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
     """Return the directions (N, q) that the rows do not determine, and what moves along each.
 
     The third result is the covariance (N, N) of all that does not move along them, NaN for the rest.
     """
-    found = information_axes(problem, blocks, values)
+    found = information_axes(problem, values)
     information, axes, _ = found
     null = axes[:, information < least_information(information)]
     echelon = null.T.copy()
@@ -537,9 +524,7 @@ def _undetermined(
     return null, tuple(words), covariance_along(found, np.eye(len(axes)))
 
 
-def _finished(
-    problem: BlockProblem, blocks: Sequence[Block], values: Values
-) -> tuple[Values, FloatArray]:
+def _finished(problem: BlockProblem, values: Values) -> tuple[Values, FloatArray]:
     """Return the values after GTSAM's last step, and the covariance of all unknowns.
 
     Raises
@@ -547,7 +532,7 @@ def _finished(
     RuntimeError, numpy.linalg.LinAlgError
         GTSAM calls the system indeterminate.
     """
-    task = _least_squares(problem, blocks, 1, values)
+    task = _least_squares(problem, 1, values)
     of = task.reduction
     sums = eliminated_sums(task.normal(values), 1.0)
     moved = task.reduction.moved(values, sums.step[None], sums.local_step[None])
@@ -565,14 +550,14 @@ def _finished(
     return moved, whole[np.ix_(index, index)]
 
 
-def _failed(problem: BlockProblem, blocks: Sequence[Block]) -> Estimate:
+def _failed(problem: BlockProblem) -> Estimate:
     """Return that no start led to a minimum, and why."""
     names = problem.places().names
     first = {name: x[:1] for name, x in problem.start.items()}
     starts = max(len(x) for x in problem.start.values())
     never = [
         str(i)
-        for i, block in enumerate(blocks)
+        for i, block in enumerate(problem.blocks)
         if impossible(block.evaluate(problem.start), block).all()
     ]
     message = f"none of {starts} starts leads to a minimum"
@@ -586,6 +571,6 @@ def _failed(problem: BlockProblem, blocks: Sequence[Block]) -> Estimate:
         np.full((len(names), len(names)), np.nan),
         (),
         np.inf,
-        _rows(blocks, first) - len(names),
-        tuple(np.zeros_like(_counted(block, first)) for block in blocks),
+        _rows(problem.blocks, first) - len(names),
+        tuple(np.zeros_like(_counted(block, first)) for block in problem.blocks),
     )

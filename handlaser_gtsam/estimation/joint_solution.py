@@ -57,10 +57,6 @@ STEPS_IN_VAIN = 100
 what is undetermined it creeps from there on, by thousandths of a standard deviation."""
 
 
-_Point = tuple[FloatArray, FloatArray]
-"""Logarithms (d,) of the noise scales, and the scales (T,) of the range errors, natural units."""
-
-
 def settle(
     readings: Readings,
     start: Parameters,
@@ -115,11 +111,17 @@ class SolutionTask:
         As given; without sigmas that the readings contradict.
     solution : Solution
         At the most probable scales.
+    logs : (d,)
+        Logarithms of the scales of the noise.
+    error_scales : (T,)
+        Scales of the range errors, natural units.
     """
 
     solution: Solution
     scales: Scales
     base: Variances
+    logs: FloatArray
+    error_scales: FloatArray
 
     def __init__(
         self,
@@ -136,13 +138,13 @@ class SolutionTask:
         self.prior_is_learned = options.linearity is not None and prior is None
         self.prior, self.learns = prior, False
         self.determined, self.fits = False, True
-        self.point: _Point = np.zeros(0), np.full(self.terms, options.linearity or 1.0)
+        self.logs, self.error_scales = np.zeros(0), np.full(self.terms, options.linearity or 1.0)
         if self.prior_is_learned:
-            self.prior = self.prior_of(np.full(2, options.linearity))
+            self.prior = self.learned_prior()
 
-    def prior_of(self, scale: FloatArray) -> RangeErrorPrior:
-        """Return the prior of range errors of scales (T,) in natural units."""
-        sigma = scale / np.array([1.0, self.length])
+    def learned_prior(self) -> RangeErrorPrior:
+        """Return the prior of the range errors at their scales so far."""
+        sigma = self.error_scales / np.array([1.0, self.length])
         return RangeErrorPrior(np.tile(sigma, (self.readings.beams, 1)))
 
     def equally_weighted(self, start: Parameters) -> Solution:
@@ -177,9 +179,12 @@ class SolutionTask:
 
     def contradicted(self, first: Solution) -> tuple[str, ...]:
         """Return the given sigmas of the noise that the readings contradict."""
-        if self.contradicts_range_sigma(first):
+        if self.loss != GAUSSIAN or not first.observability.full:
+            return ()
+        unknown = {scale.name for scale in self.scales.unknown}
+        if unknown and RANGE not in unknown and self.contradicts_range_sigma(first):
             return ("range_sigma",)
-        return POSE_SIGMAS if self.contradicts_pose_sigmas(first) else ()
+        return POSE_SIGMAS if unknown == {RANGE} and self.contradicts_pose_sigmas(first) else ()
 
     def contradicts_range_sigma(self, first: Solution) -> bool:
         """Tell whether the readings contradict a given range sigma, beside unknown pose sigmas.
@@ -192,13 +197,11 @@ class SolutionTask:
         each errs as the residuals of equal weights do, and poses as usual. Where sigma and model hold,
         a fixed rival is as much more probable with this probability at most (Markov's inequality).
         """
-        given, unknown = self.noise.range_sigma, self.scales.unknown
-        if given is None or self.sigma <= given or self.loss != GAUSSIAN or not unknown:
-            return False
-        if any(scale.name == RANGE for scale in unknown) or not first.observability.full:
+        given = self.noise.range_sigma
+        if given is None or self.sigma <= given:
             return False
         usual = start_of(self.scales, self.sigma, self.length)
-        self.point = usual, self.point[1]
+        self.logs = usual
         stated = self._scale_problem(first)
         ranges = np.full(self.readings.beams, self.sigma)
         rival = replace(stated, scales=replace(self.scales, range_sigma=ranges))
@@ -218,13 +221,10 @@ class SolutionTask:
         probable than a smaller one. No pose errs where it is one beam that does, as one that moved amid
         the recording: the others would contradict the rival without it.
         """
-        unknown = {scale.name for scale in self.scales.unknown}
-        if self.loss != GAUSSIAN or unknown != {RANGE} or not first.observability.full:
-            return False
         given = self.base.pose is not None and self.noise.pose_covariance is None
         if not given or self.readings.beams < 2:
             return False
-        self.point = start_of(self.scales, self.sigma, self.length), self.point[1]
+        self.logs = start_of(self.scales, self.sigma, self.length)
 
         def probability(problem: ScaleProblem, factor: float) -> float:
             scales = replace(problem.scales, pose=factor * problem.scales.pose)
@@ -253,24 +253,22 @@ class SolutionTask:
         """How many readings there are beyond all unknowns, range errors included."""
         return len(self.readings) - self.rank
 
-    def weighed(self, parameters: Parameters, variances: Variances) -> tuple[Readings, Whitening]:
-        """Return the readings with the regressors of the range errors, and their weights."""
-        return weighed(self.readings, parameters, variances, self.terms)
-
     def settled(self, first: Solution) -> Solution:
         """Return the solution at the most probable scales, from an equally weighted one."""
-        start = start_of(self.scales, max(self.sigma, LEAST_SIGMA), self.length)
-        self.point, solution = (start, self.point[1]), first
+        self.logs = start_of(self.scales, max(self.sigma, LEAST_SIGMA), self.length)
+        solution = first
         for _ in range(MOST_ROUNDS):
             full = solution.observability.full
             if self.learns and full:
                 problem = self._scale_problem(solution)
-                u = problem.mode(self.point[0])
-                k = problem.range_error_scales(u) if self.prior_is_learned else self.point[1]
-                self.point = u, k
+                self.logs = problem.mode(self.logs)
+                if self.prior_is_learned:
+                    self.error_scales = problem.range_error_scales(self.logs)
             # Of what is undetermined, weights are taken twice.
             last = not full and solution.whitening is not None
-            solution = self.reweighted(solution.parameters, self._use_point())
+            at, variances = solution.parameters, self._use_scales()
+            readings, how = weighed(self.readings, at, variances, self.terms)
+            solution = self.diagnosed(self.minimized(readings, at, how), how.sigma, how)
             status = solution.at.status
             # Where the solver does not arrive there is no optimum to expand about.
             arrived = solution.observability.full and status != "max_iterations"
@@ -279,12 +277,12 @@ class SolutionTask:
             # Where the solution stays, so do the scales that it makes most probable.
             if solution.at.first_step < WEIGHTS_SETTLED:
                 break
-        variances = self._use_point()
+        variances = self._use_scales()
         solution = replace(solution, variances=variances, prior=self.prior)
         solution = self.with_poses(solution, variances)
         if not (self.learns and solution.observability.full):
             return solution
-        values = zip(self.scales.unknown, np.exp(self.point[0]).tolist(), strict=True)
+        values = zip(self.scales.unknown, np.exp(self.logs).tolist(), strict=True)
         return replace(solution, scales=tuple(scale.estimated(value) for scale, value in values))
 
     def finished(self) -> Solution:
@@ -297,19 +295,19 @@ class SolutionTask:
         if not (self.learns and whole and self.loss == GAUSSIAN):
             return solution
         problem = self._scale_problem(solution)
-        integrated = posterior(problem, problem.learned(self.point[0]))
+        integrated = posterior(problem, problem.learned(self.logs))
         return replace(solution, posterior=integrated, scales=integrated.scales)
 
-    def _use_point(self) -> Variances:
-        """Let the prior of range errors have the scales of the point, and return the variances."""
+    def _use_scales(self) -> Variances:
+        """Let the prior of range errors have its scales so far, and return the variances."""
         if self.prior_is_learned:
-            self.prior = self.prior_of(self.point[1])
-        return with_scales(self.scales, self.base, self.point[0])
+            self.prior = self.learned_prior()
+        return with_scales(self.scales, self.base, self.logs)
 
     def _scale_problem(self, solution: Solution) -> ScaleProblem:
         """Return the problem of the scales; a robust loss keeps readings out that it doubts."""
-        variances = with_scales(self.scales, self.base, self.point[0])
-        readings, _ = self.weighed(solution.parameters, variances)
+        variances = with_scales(self.scales, self.base, self.logs)
+        readings, _ = weighed(self.readings, solution.parameters, variances, self.terms)
         if self.loss != GAUSSIAN:
             weight = self.loss.weight(solution.at.white / solution.at.sigma)
             readings = readings.subset(np.flatnonzero(weight >= 0.5))
@@ -317,21 +315,15 @@ class SolutionTask:
         of = solution.parameters, readings, self.terms, self.base, self.scales, linearity
         return ScaleProblem(*of)
 
-    def reweighted(self, parameters: Parameters, variances: Variances) -> Solution:
-        """Solve with the weights at some parameters."""
-        readings, how = self.weighed(parameters, variances)
-        ended = self.minimized(readings, parameters, how)
-        return self.diagnosed(ended, how.sigma, how)
-
     def with_poses(self, solution: Solution, variances: Variances) -> Solution:
         """Solve once more with a variable for every hand pose, where these are asked for."""
-        wanted = self.options.poses == "estimated" and variances.pose is not None
-        if not wanted or variances.pose is None or solution.at.status == "interrupted":
+        pose = variances.pose if self.options.poses == "estimated" else None
+        if pose is None or solution.at.status == "interrupted":
             return solution
         parameters = solution.parameters
-        readings, _ = self.weighed(parameters, variances)
+        readings, _ = weighed(self.readings, parameters, variances, self.terms)
         how = whitening(parameters, readings, variances.without_poses())
-        priors = pose_priors(readings, variances.pose)
+        priors = pose_priors(readings, pose)
         ended, _ = self._by_gtsam(readings, parameters, how, self._solver(parameters), priors)
         marginal = whitening(ended.parameters, readings, variances)
         diagnosed = self.diagnosed(ended, marginal.sigma, marginal)
@@ -518,9 +510,7 @@ class SolutionTask:
         e = residuals(scene(parameters, readings), readings.distance)
         white = e if how is None else how.apply(e)
         # A search that still moves along what is undetermined has arrived in all that matters.
-        status: Status = solution.at.status
-        if status != "interrupted":
-            status = "converged"
+        status: Status = "interrupted" if solution.at.status == "interrupted" else "converged"
         cost = float(self.loss.cost(white / solution.at.sigma).sum())
         at = replace(
             solution.at,

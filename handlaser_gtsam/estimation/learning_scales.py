@@ -39,8 +39,8 @@ from ..quantities import NUMBERS_AT_ONCE, REPRESENTATIVE_BEAMS, TINY
 from ..solvers.beam_problem import require_steep
 from .scale_mixture import (
     BeamPosterior,
-    Information,
     RangeErrorGrid,
+    information_of,
     near_largest,
     refined_grid,
     widest_grids,
@@ -107,7 +107,7 @@ class LinearReadings:
 
     def information(
         self, range_sigma: FloatArray, pose: FloatArray
-    ) -> tuple[Information, ReducedInformation]:
+    ) -> tuple[FloatArray, ReducedInformation]:
         """Return what the readings say for each set of noise scales, and the same in full.
 
         Parameters
@@ -119,7 +119,8 @@ class LinearReadings:
 
         Returns
         -------
-        Information
+        (J, n + 1, n + 1)
+            Of the beams (`information_of`), in natural units.
         ReducedInformation
             With the planes that were eliminated, in natural units.
         """
@@ -130,7 +131,7 @@ class LinearReadings:
         parts = [self._for_some(range_sigma[a : a + chunk], pose[a : a + chunk]) for a in starts]
         constant = np.concatenate([constant for constant, _ in parts])
         reduced = ReducedInformation.joined([reduced for _, reduced in parts])
-        return Information(reduced.matrix, -reduced.gradient, constant), reduced
+        return information_of(reduced.matrix, -reduced.gradient, constant), reduced
 
     def _for_some(
         self, range_sigma: FloatArray, pose: FloatArray
@@ -240,7 +241,7 @@ class LearnedScales(Value):
 
 
 def beam_posterior(
-    information: Information, range_errors: FloatArray, of: "LearnedScales | ScaleProblem"
+    information: FloatArray, range_errors: FloatArray, of: "LearnedScales | ScaleProblem"
 ) -> BeamPosterior:
     """Return what information that is linearised at range errors (B, 2) says of the beams."""
     terms = 0 if of.linearity is None else of.terms

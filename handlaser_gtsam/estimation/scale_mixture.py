@@ -225,37 +225,17 @@ def worst_known(V: FloatArray) -> FloatArray | None:
     return np.asarray(mean + off)
 
 
-@dataclass(frozen=True, slots=True)
-class Information:
-    """What the readings say of the beams for J sets of noise scales; sums over planes.
+def information_of(A: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+    """Return what readings say of the beams for J sets of noise scales as one array (J, n + 1, n + 1).
 
-    Without the axis of the sets where the noise is known.
-
-    Attributes
-    ----------
-    matrix : (J, n, n)
-        A, in natural units.
-    vector : (J, n)
-        b.
-    constant : (J,)
-        c.
+    A (J, n, n) is bordered by b (J, n), with c (J,) in the corner: what planes say adds up.
     """
+    return np.block([[A, b[:, :, None]], [b[:, None], c[:, None, None]]])
 
-    matrix: FloatArray
-    vector: FloatArray
-    constant: FloatArray
 
-    def __add__(self, other: "Information") -> "Information":
-        matrix, vector = self.matrix + other.matrix, self.vector + other.vector
-        return Information(matrix, vector, self.constant + other.constant)
-
-    def __sub__(self, other: "Information") -> "Information":
-        matrix, vector = self.matrix - other.matrix, self.vector - other.vector
-        return Information(matrix, vector, self.constant - other.constant)
-
-    def __getitem__(self, sets: int | slice) -> "Information":
-        """Return some sets, or one without the axis of the sets."""
-        return Information(self.matrix[sets], self.vector[sets], self.constant[sets])
+def parts_of(information: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return A, b and c of `information_of`, with or without the axis of the sets."""
+    return information[..., :-1, :-1], information[..., :-1, -1], information[..., -1, -1]
 
 
 class BeamPosterior:
@@ -263,24 +243,26 @@ class BeamPosterior:
 
     Parameters
     ----------
-    information : Information
+    information : (J, n + 1, n + 1)
+        In natural units (`information_of`).
     k : (B, T)
         Range errors at the linearisation that have a prior, natural units; T is zero where none has.
     widest : float
         The widest scale of a range error's prior.
     """
 
-    def __init__(self, information: Information, k: FloatArray, widest: float) -> None:
+    def __init__(self, information: FloatArray, k: FloatArray, widest: float) -> None:
         self.shape = beams, terms = k.shape
-        size = information.vector.shape[1]
+        A, b, c = parts_of(information)
+        size = b.shape[1]
         places = np.arange(beams)[:, None] * (size // beams) + MOUNT_DIM + np.arange(terms)
         self.places = places.ravel()
         self.others = np.setdiff1d(np.arange(size), self.places)
         # The mean over B beams, times the root of B, has the scale that all share beside its own.
         self.widest = widest * np.sqrt(1.0 + beams)
-        prior, here, of_others = self.widest**-2, k.ravel(), information.vector[:, self.others]
+        prior, here, of_others = self.widest**-2, k.ravel(), b[:, self.others]
         # A part of a recording may lack a beam.
-        matrix = information.matrix + NEGLIGIBLE * np.eye(size)
+        matrix = A + NEGLIGIBLE * np.eye(size)
         across = matrix[:, self.others[:, None], self.places]
         self.P, log_det = _inverses(matrix[:, self.others[:, None], self.others])
         self.G = -(self.P @ across)
@@ -289,19 +271,19 @@ class BeamPosterior:
         values = np.maximum(values, 0.0) + prior  # rounding may have made some negative
         self.T = axes / np.sqrt(values)[:, None]
         self.V = self.T @ np.swapaxes(self.T, 1, 2)
-        towards = information.vector[:, self.places] - prior * here
+        towards = b[:, self.places] - prior * here
         towards += np.einsum("jak,ja->jk", self.G, of_others)
         step = np.einsum("jkl,jl->jk", self.V, towards)
         alone = np.einsum("jab,jb->ja", self.P, of_others)
         self.k = here + step
         # inv(V) k^, without a difference that could cancel.
         self.y = towards + known @ here + prior * here
-        self.mean = np.empty_like(information.vector)
+        self.mean = np.empty_like(b)
         self.mean[:, self.places] = step
         self.mean[:, self.others] = alone + np.einsum("jak,jk->ja", self.G, step)
         squares = (of_others * alone).sum(axis=1) + (towards * step).sum(axis=1)
         squares -= log_det + np.log(values).sum(axis=1) + prior * float(here @ here)
-        self.log_evidence = information.constant + 0.5 * squares
+        self.log_evidence = c + 0.5 * squares
 
     def log_evidence_of(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the log evidence (J, G) of the noise scales and the scales of the range errors."""

@@ -24,8 +24,8 @@ from ..model.families import BEAM
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.weighting import covariance_roots
-from ..quantities import IN_PERCENT, MEDIAN_TO_SIGMA, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM
-from .dense import tests_of
+from ..quantities import IN_PERCENT, MEDIAN_TO_SIGMA, MM, MOST_ROUNDS, SAME_OPTIMUM
+from .dense import spanned, tests_of
 from .errors_by_pose import ErrorsByPose
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, judged
 from .survey_by_pose import survey_errors_by_pose
@@ -56,13 +56,11 @@ from .survey_outliers import (
 from .survey_planes import with_planes_ahead
 from .survey_rows import (
     AIMING_SIGMA,
-    Entity,
     Item,
     SurveyRows,
     about_errors,
     blocks_of,
     continued_items,
-    relations_of,
     rows_of,
     without_grazing,
 )
@@ -187,9 +185,7 @@ class SurveyEstimate:
         They are made again: rules of relations cannot be pickled with a result. The variances of the
         hand poses may be other ones, by a factor.
         """
-        root = float(np.sqrt(pose_variances))
-        turn, shift, again = (root * size for size in (*self.noise.pose, self.noise.again))
-        sizes = replace(self.noise, pose=(turn, shift), again=again)
+        sizes = self.noise.with_hand_times(float(np.sqrt(pose_variances)))
         return self.ended(sizes).problem()[0]
 
     def redundancy(self) -> FloatArray:
@@ -210,9 +206,7 @@ class SurveyEstimate:
         """
         rows, owner = self.ended().dense()
         J, e = rows.whitened()
-        scale = np.sqrt((J**2).sum(axis=0))
-        U, size, _ = np.linalg.svd(J / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-        return e, 1.0 - (U[:, size > NEGLIGIBLE * size[0]] ** 2).sum(axis=1), owner
+        return e, 1.0 - (spanned(J)[0] ** 2).sum(axis=1), owner
 
     def learning(self) -> "SurveyState":
         """Return the state where the estimate ended, whose sizes of the noise may be learned again."""
@@ -220,8 +214,8 @@ class SurveyEstimate:
 
     def ended(self, sizes: Components | None = None) -> "SurveyState":
         """Return the state where the estimate ended, perhaps with other sizes; none is learned."""
-        sizes, relations = sizes or self.noise, relations_of(self.rows)
-        return SurveyState(self.rows, self.given, self.values, sizes, self.used, relations, sizes)
+        sizes = sizes or self.noise
+        return SurveyState(self.rows, self.given, self.values, sizes, self.used, sizes)
 
 
 def estimate_survey(
@@ -306,8 +300,7 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
     more = np.zeros_like(covariance)
     false = any(test.contradicted for test in tests)  # then large residuals are of that
     if found.status in ("converged", "contradicted", "undetermined") and not false:
-        usual = usual_noise(state.rows, state.noise).pose
-        learned = survey_errors_by_pose(state, usual, _beside_rows(state))
+        learned = survey_errors_by_pose(state, _beside_rows(state))
         if learned is not None:
             by_pose, more = learned
             known = np.isfinite(np.diagonal(covariance))
@@ -335,7 +328,7 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
 def _judged(state: SurveyState) -> Estimate:
     """Return the estimate where a state stands."""
     problem, _ = state.problem()
-    return judged(problem, problem.blocks, dict(state.values))
+    return judged(problem, dict(state.values))
 
 
 def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
@@ -380,7 +373,7 @@ def state_of(rows: SurveyRows, noise: Noise) -> SurveyState:
     again = usual.again if np.isnan(stated.again) else 0.0
     sizes = Components(sigma, _pose_sizes(stated, usual), again)
     used = np.ones(len(rows.items), dtype=bool)
-    return SurveyState(rows, noise, {}, sizes, used, relations_of(rows), stated)
+    return SurveyState(rows, noise, {}, sizes, used, stated)
 
 
 def first_state(
@@ -411,7 +404,7 @@ def first_state(
         return quick
     state.values, without = start_of(rows, state.sigmas())
     if without:
-        names = ", ".join(_name(rows, entity) for entity in without)
+        names = ", ".join(f"{entity[0]} {rows.label(entity)}" for entity in without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
     leave_out_gross(state)
     rough = _roughened(state)
@@ -420,9 +413,7 @@ def first_state(
     if np.median(state.misfits()) <= GROSS:
         return state
     free = _begun_without_relations(state)
-    if free is not None and _some_relation_is_contradicted(
-        replace(free, relations=state.relations)
-    ):
+    if free is not None and _some_relation_is_contradicted(replace(free, tied=True)):
         state.rows, state.values, state.used = free.rows, free.values, free.used
         return state
     starts, ahead = [state], with_planes_ahead(rows)
@@ -473,7 +464,7 @@ def _begun_without_relations(state: SurveyState) -> SurveyState | None:
     Its rows have the relations, for those who test them; the state itself is free of them.
     """
     rows, every = state.rows, np.ones(len(state.used), dtype=bool)
-    free = replace(state, rows=replace(rows, known=()), relations=[], used=every)
+    free = replace(state, rows=replace(rows, known=()), used=every, tied=False)
     if not (state.relations and begin_quickly(free, GROSS) and _surely_fits(free)):
         return None
     complete_bodies(rows, free.values)
@@ -495,7 +486,7 @@ def _typical_misfits(state: SurveyState) -> list[tuple[float, str, list[Item]]]:
     own = defaultdict[str, list[tuple[float, Item]]](list)
     used = state.used.tolist()
     for item, one, counts in zip(state.rows.items, state.misfits().tolist(), used, strict=True):
-        parts = _name(state.rows, item.mount), state.rows.label(item.target)
+        parts = _names(state.rows, item)
         for of in ("", f" of {parts[0]}", f" before {parts[1]}") if counts else ("",):
             own[of].append((one, item))
     return [
@@ -521,7 +512,7 @@ def _doubtful(state: SurveyState) -> list[str]:
     """Return the sensors, beams and targets of which too many shots were rejected to be trusted."""
     shares: dict[str, list[bool]] = {}
     for item, used in zip(state.rows.items, state.used, strict=True):
-        for name in (_name(state.rows, item.mount), state.rows.label(item.target)):
+        for name in _names(state.rows, item):
             shares.setdefault(name, []).append(bool(used))
     return [name for name, used in shares.items() if np.mean(used) < 1.0 - MOST_REJECTED]
 
@@ -533,7 +524,7 @@ def _some_relation_is_contradicted(state: SurveyState) -> bool:
 
 def _without_relations(state: SurveyState) -> Iterator[SurveyState]:
     """Yield the state without relations, then a quick start without them, where that fits."""
-    near = replace(state, relations=[], used=np.ones(len(state.used), dtype=bool))
+    near = replace(state, tied=False, used=np.ones(len(state.used), dtype=bool))
     leave_out_gross(near)
     yield near
     begun = _begun_without_relations(state)
@@ -581,8 +572,9 @@ def _image_that_agrees(state: SurveyState) -> bool:
     return False
 
 
-def _name(rows: SurveyRows, mount: Entity) -> str:
-    return f"{mount[0]} {rows.names(mount[0])[mount[1]]}"
+def _names(rows: SurveyRows, item: Item) -> tuple[str, str]:
+    """Return what the mount and the target of an item are called."""
+    return f"{item.family} {rows.label(item.mount)}", rows.label(item.target)
 
 
 def _inside(rows: SurveyRows, *, single: bool = False) -> Inside:
@@ -632,11 +624,6 @@ def _stated(rows: SurveyRows, noise: Noise) -> Components:
         turn = shift = 1.0
     pose = np.nan if turn is None else turn, np.nan if shift is None else shift
     again = np.nan if any(own_sizes(noise)) and rows.shared.any() else 0.0
-    return Components(_sigmas_stated(rows, noise), pose, again)
-
-
-def _sigmas_stated(rows: SurveyRows, noise: Noise) -> FloatArray:
-    """Return the standard deviations of readings and of the aiming, NaN for what is not stated."""
     survey, of_all = rows.survey, np.nan if noise.range_sigma is None else noise.range_sigma
     beams = np.full(len(np.unique(survey.beam_sources)), of_all)
     own = ~np.isnan(survey.stated_sigmas)
@@ -645,7 +632,7 @@ def _sigmas_stated(rows: SurveyRows, noise: Noise) -> FloatArray:
     if aiming is None:
         aiming = np.nan if POINT.name in rows.targets else AIMING_SIGMA
     sensors = [np.nan if shots.sigma is None else shots.sigma for shots in survey.shots]
-    return np.array([*sensors, *beams.tolist(), aiming])
+    return Components(np.array([*sensors, *beams.tolist(), aiming]), pose, again)
 
 
 def usual_noise(rows: SurveyRows, noise: Noise) -> Components:
@@ -743,7 +730,13 @@ def _settle_sorted(state: SurveyState) -> bool:
     noise takes them in.
     """
     for _ in range(MOST_ROUNDS):
-        arrays = sortable(state.rows, state.sizes.sigma, _by_hand(state))
+        # Readings of anything else than their target look like errors of the hand, if these are
+        # learned: what the hand does to a reading is as it is stated, or usual.
+        pose = _pose_sizes(state.stated, usual_noise(state.rows, state.noise))
+        errors = replace(state, sizes=Components(state.sizes.sigma, pose)).pose_covariance()
+        turn, shift = np.einsum("mii->mi", errors).mean(axis=0).reshape(2, 3).mean(axis=1)
+        by_hand = float(np.sqrt(shift + turn * state.rows.length**2))
+        arrays = sortable(state.rows, state.sizes.sigma, by_hand)
         if not arrays:
             break
         if not state.minimize():
@@ -771,18 +764,6 @@ def _settle_grazing(state: SurveyState) -> bool:
             break
         state.take(trial)
     return not (state.used & continued_items(state.rows, state.values)).any()
-
-
-def _by_hand(state: SurveyState) -> float:
-    """Return the standard deviation of what errors of the hand do to a reading [m], before learning.
-
-    Readings of anything else than their target look like errors of the hand, if these are learned.
-    """
-    usual = usual_noise(state.rows, state.noise)
-    sizes = Components(state.sizes.sigma, _pose_sizes(state.stated, usual))
-    variances = np.einsum("mii->mi", replace(state, sizes=sizes).pose_covariance()).mean(axis=0)
-    turn, shift = variances.reshape(2, 3).mean(axis=1)
-    return float(np.sqrt(shift + turn * state.rows.length**2))
 
 
 def learned_sizes(state: SurveyState, beside: Columns | None = None) -> Components:
@@ -853,12 +834,12 @@ def _tested(state: SurveyState) -> tuple[RelationTest, ...]:
     """Test each relation against the readings and all relations that are not contradicted."""
     if not state.relations:
         return ()
-    rows, group = state.dense()
+    (rows, group), relations = state.dense(), state.relations
     group[:] = -1
     # A body has a relation a face.
-    different = list({id(known): known for known, _ in state.relations}.values())
+    different = list({id(known): known for known, _ in relations}.values())
     number = {id(known): i for i, known in enumerate(different)}
-    for part, (known, _) in zip(reversed(rows.where), reversed(state.relations), strict=False):
+    for part, (known, _) in zip(reversed(rows.where), reversed(relations), strict=False):
         group[part] = number[id(known)]
     p_value, contradicted = np.ones(len(different)), np.zeros(len(different), dtype=bool)
     while not contradicted.all():

@@ -16,7 +16,7 @@ from ..arrays import FloatArray
 from ..model.families import BEAM
 from ..model.range_blocks import Ranges
 from ..quantities import FAR_SIGMAS
-from .survey_rows import blocks_of
+from .survey_rows import blocks_of, by_mount
 from .survey_state import SurveyState
 
 
@@ -41,9 +41,9 @@ def aim_freely(state: SurveyState) -> bool:
 def _free_axes(state: SurveyState) -> Iterator[tuple[int, FloatArray]]:
     """Yield the cones that have room for all their readings, with the axes (3,) amidst these."""
     values, survey = state.values, state.rows.survey
-    items = [item for item, used in zip(state.rows.items, state.used, strict=True) if used]
+    of_mounts = by_mount(state.rows.counted(state.used))
     for member in np.flatnonzero(survey.cones).tolist():
-        own = [item for item in items if item.mount == (BEAM.name, member)]
+        own = of_mounts.get((BEAM.name, member), [])
         blocks, _ = blocks_of(own, defaultdict(lambda: 1.0), values)
         towards = [b.nearest(values).reshape(3, -1) for b in blocks if isinstance(b, Ranges)]
         if not towards:

@@ -27,7 +27,7 @@ from ..model.targets.sphere import SPHERE
 from ..observability.motion import COUNTED_TURN, PoorMotion, poor_motion, steadied
 from ..observability.rank import ObservabilityOptions
 from ..quantities import FAR_SIGMAS, MOST_ROUNDS
-from .estimate import Estimate, descended
+from .estimate import Estimate, minimum
 from .survey_rows import Entity, SurveyRows
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def best_image(
                 problem, _ = trial.problem()
                 # From the image of one sensor alone chi2 is at rest within thirty steps; the
                 # undetermined height of walls that noise makes lean perhaps never is.
-                lower = descended(problem, problem.blocks, values, 100)
+                lower = minimum(problem, values, 100)
                 trial = trial if lower is None else replace(state, values=lower)
                 more = trial.chi2() - here
             if more < least:

@@ -19,7 +19,7 @@ the 95 % interval of Student's distribution within 7 %.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,6 +66,11 @@ class Components:
     pose: tuple[float, float]
     again: float = 0.0
 
+    def with_hand_times(self, factor: float) -> "Components":
+        """Return the same with errors of the hand times a factor."""
+        turn, shift = self.pose
+        return replace(self, pose=(factor * turn, factor * shift), again=factor * self.again)
+
     def vector(self) -> FloatArray:
         """Return all sizes (n + 3,), of the pose last."""
         return np.array([*self.sigma, *self.pose, self.again])
@@ -86,7 +91,13 @@ class _Likelihood:
         own: tuple[float, float],
     ) -> None:
         self.inside = inside
-        X, self.constant = _of_full_rank(rows.derivatives)
+        # Orthonormal columns with the span of the unknowns: those that depend on others do not count.
+        scale = np.sqrt((rows.derivatives**2).sum(axis=0))
+        X = rows.derivatives / np.where(scale > 0.0, scale, 1.0)
+        values, axes = np.linalg.eigh(X.T @ X)
+        some = values > NEGLIGIBLE**2 * values.max(initial=0.0)
+        X = X @ (axes[:, some] / np.sqrt(values[some]))
+        self.constant = float(np.log(values[some]).sum())  # of derivatives of unit length
         every = np.column_stack((rows.by_pose, X, rows.residuals))
         numbers: IntArray = np.column_stack((rows.station, again, source))
         every, numbers, self.rest, self.left = _turned(every, numbers, len(inside[0]) + 1)
@@ -141,18 +152,6 @@ class _Likelihood:
         squares, dof = self.inside
         value += np.log(variance[:, :-1]) @ dof + (1.0 / variance[:, :-1]) @ squares
         return np.asarray(value)
-
-
-def _of_full_rank(derivatives: FloatArray) -> tuple[FloatArray, float]:
-    """Return orthonormal columns with the span of derivatives, and log det(X'X) of these.
-
-    X has columns of unit length; those that depend on others do not count.
-    """
-    scale = np.sqrt((derivatives**2).sum(axis=0))
-    X = derivatives / np.where(scale > 0.0, scale, 1.0)
-    values, axes = np.linalg.eigh(X.T @ X)
-    some = values > NEGLIGIBLE**2 * values.max(initial=0.0)
-    return X @ (axes[:, some] / np.sqrt(values[some])), float(np.log(values[some]).sum())
 
 
 def _turned(

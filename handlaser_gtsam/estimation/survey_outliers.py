@@ -22,9 +22,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..data.survey import RAY_ERRORS, kind_of, normal_label
+from ..data.survey import kind_of, normal_label
 from ..model.block import Values
-from ..model.condensed_shots import MANY, Stated
+from ..model.condensed_shots import MANY
 from ..model.distributions import FAMILY_LEVEL, chi2_sf, f_sf
 from ..model.equation import corrected
 from ..model.families import PLANE, POSE, pose_of
@@ -37,7 +37,7 @@ from .dense import tests_of
 from .joint_solution import STEPS_IN_VAIN
 from .survey_mirror import numbers_of
 from .survey_planes import Planes, other_planes_taken
-from .survey_rows import TARGETS, Entity, Item, SurveyRows
+from .survey_rows import TARGETS, Entity, Item, SurveyRows, by_mount, stated_of
 from .survey_starts import TRIMMED, search_again, start_of
 from .survey_state import SurveyState, grazing
 
@@ -105,10 +105,8 @@ def started_from_halves(state: SurveyState) -> bool:
             own = rng.permutation(np.unique(station[target == one]))
             some |= (target == one) & np.isin(station, own[: max(len(own) // parts, 3)])
         some &= first
-        part = tuple(item for item, taken in zip(items, some, strict=True) if taken)
-        begun, without = start_of(
-            replace(state.rows, items=part), state.sigmas(), last_resort=False
-        )
+        part = replace(state.rows, items=tuple(state.rows.counted(some)))
+        begun, without = start_of(part, state.sigmas(), last_resort=False)
         if without:
             continue
         trial = replace(state, values=begun, used=some)
@@ -132,9 +130,9 @@ def started_from_halves(state: SurveyState) -> bool:
     good = state.misfits() <= GROSS * max(least, 1.0)
     if not first.all():
         there = np.isin(station, station[first & good]) & ~first
-        rest = tuple(item for item, right in zip(items, there, strict=True) if right)
-        for mount in dict.fromkeys(item.mount for item in rest):
-            search_again(replace(state.rows, items=rest), mount, values, state.sigmas())
+        rest = replace(state.rows, items=tuple(state.rows.counted(there)))
+        for mount in by_mount(rest.items):
+            search_again(rest, mount, values, state.sigmas())
         good = state.misfits() <= GROSS * max(least, 1.0)
     state.used = good
     return True
@@ -250,10 +248,8 @@ def sorted_again(
             if near.any() and (before is not None or enough):
                 some.append((station, target, table[near], at, before))
         every = [(shots.across[points], shots.reading[points]) for _, _, points, _, _ in some]
-        kind = KINDS[shots.kind]
-        errors = np.zeros(len(RAY_ERRORS)) if rows.errors is None else rows.errors[member]
-        stated = Stated(errors=errors, sorted_out=True)
-        again = condensed_shots(kind, family, every, stated)
+        stated = stated_of(shots, rows.errors[member], sorted_out=True)
+        again = condensed_shots(KINDS[shots.kind], family, every, stated)
         for (station, target, points, at, before), shot in zip(some, again, strict=True):
             if shot is None:
                 continue
@@ -261,15 +257,8 @@ def sorted_again(
             if before is not None and np.array_equal(points, before):
                 continue
             changed = True
-            item = Item(
-                SENSOR.name,
-                member,
-                station,
-                int(rows.stops[station]),
-                target,
-                shot,
-                points=points,
-            )
+            stop = int(rows.stops[station])
+            item = Item(SENSOR.name, member, station, stop, target, shot, points)
             if at is None:
                 items.append(item)
                 counts.append(True)

@@ -9,13 +9,13 @@ from itertools import zip_longest
 
 import numpy as np
 
-from ..data.survey import RAY_ERRORS, normal_label
-from ..model.condensed_shots import MANY, Stated, grown
+from ..data.survey import normal_label
+from ..model.condensed_shots import MANY, grown
 from ..model.families import PLANE
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets_in_shots import planes_in
-from .survey_rows import Item, SurveyRows
+from .survey_rows import Item, SurveyRows, stated_of
 from .survey_state import SurveyState
 
 Shot = tuple[int, int]
@@ -87,10 +87,8 @@ def _several(rows: SurveyRows, member: int, station: int) -> tuple[Item, ...]:
     table = np.flatnonzero(shots.station == station)
     if label not in known or len(table) < MANY:
         return ()
-    errors = np.zeros(len(RAY_ERRORS)) if rows.errors is None else rows.errors[member]
-    ratio = shots.sigma_across / shots.sigma if shots.sigma else 0.0
     read = shots.across[table], shots.reading[table]
-    found = planes_in(KINDS[shots.kind], read, Stated(ratio, shots.sigma, errors))
+    found = planes_in(KINDS[shots.kind], read, stated_of(shots, rows.errors[member]))
     # Errors of neighbouring readings go together in all shots alike.
     mount, target = (SENSOR.name, member), (PLANE.name, known.index(label))
     together = max(

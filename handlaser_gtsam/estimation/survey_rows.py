@@ -130,8 +130,8 @@ class SurveyRows:
         Of each station, as of an `Item`.
     repeated : tuple of (name of a sensor or beam, station)
         Shots and readings that stand twice: they count once.
-    errors : (S, 4), optional
-        Range errors of the sensors, at which their shots are condensed; none where not given.
+    errors : (S, 4)
+        Range errors of the sensors, at which their shots are condensed.
     """
 
     survey: Survey
@@ -141,8 +141,8 @@ class SurveyRows:
     lost: tuple[tuple[int, int], ...]
     length: float
     stops: IntArray
-    repeated: tuple[tuple[str, int], ...] = ()
-    errors: FloatArray | None = None
+    repeated: tuple[tuple[str, int], ...]
+    errors: FloatArray
 
     @property
     def bodies(self) -> tuple[Known, ...]:
@@ -210,9 +210,9 @@ class SurveyRows:
             len(planes),
         )
 
-    def label(self, target: Entity) -> str:
-        """Return the label of a target."""
-        return self.targets[target[0]][target[1]]
+    def label(self, entity: Entity) -> str:
+        """Return the label of a target, or the name of a sensor or beam."""
+        return self.names(entity[0])[entity[1]]
 
     def names(self, family: str) -> list[str]:
         """Return the names of sensors or beams, or the labels of targets, in their order."""
@@ -253,6 +253,14 @@ class SurveyRows:
             prefix = f"{family}:" if family in (SENSOR.name, BEAM.name) else ""
             numbers |= {prefix + name: (family, i) for i, name in enumerate(self.names(family))}
         return [numbers[label] for label in known.of]
+
+
+def by_mount(items: Iterable[Item]) -> dict[Entity, list[Item]]:
+    """Return the items of each sensor and beam, in their order."""
+    found = defaultdict[Entity, list[Item]](list)
+    for item in items:
+        found[item.mount].append(item)
+    return found
 
 
 def rows_of(survey: Survey, noise: Noise | None = None) -> SurveyRows:
@@ -324,6 +332,7 @@ def rows_of(survey: Survey, noise: Noise | None = None) -> SurveyRows:
         float(np.median(ranges)) if ranges else 1.0,
         stops,
         tuple(repeated),
+        np.zeros((len(survey.shots), len(RAY_ERRORS))),
     )
 
 
@@ -335,14 +344,12 @@ def about_errors(rows: SurveyRows, values: Values) -> SurveyRows | None:
     if not any(shots.free for shots in rows.survey.shots):
         return None
     errors = values[SENSOR.name][0, :, -len(RAY_ERRORS) :]
-    before = np.zeros_like(errors) if rows.errors is None else rows.errors
-    changes = np.abs(errors - before) @ rows.length ** np.array([0.0, 1.0, 2.0, 1.0])
+    changes = np.abs(errors - rows.errors) @ rows.length ** np.array([0.0, 1.0, 2.0, 1.0])
     if (changes**2 <= ROUNDING * rows.length**2).all():  # what is left is of the second order
         return None
     items = list(rows.items)
     for member, shots in enumerate(rows.survey.shots):
         kind, scale = KINDS[shots.kind], float(errors[member, -1])
-        ratio = shots.sigma_across / shots.sigma if shots.sigma else 0.0
         condensed = defaultdict[str, list[int]](list)
         for i, item in enumerate(items):
             if item.mount != (SENSOR.name, member) or item.shot is None or item.points is None:
@@ -360,7 +367,7 @@ def about_errors(rows: SurveyRows, values: Values) -> SurveyRows | None:
         for target, some_items in condensed.items():
             seen = [np.asarray(items[i].points) for i in some_items]
             tables = [(shots.across[points], shots.reading[points]) for points in seen]
-            stated = Stated(ratio, errors=errors[member], sorted_out=True)
+            stated = stated_of(shots, errors[member], sorted_out=True)
             again = condensed_shots(kind, target, tables, stated)
             for i, shot, points in zip(some_items, again, seen, strict=True):
                 now = items[i].shot
@@ -370,14 +377,20 @@ def about_errors(rows: SurveyRows, values: Values) -> SurveyRows | None:
     return replace(rows, items=tuple(items), errors=errors)
 
 
+def stated_of(shots: Shots, errors: FloatArray, *, sorted_out: bool = False) -> Stated:
+    """Return what is stated of the shots of a sensor, about range errors (4,)."""
+    ratio = shots.sigma_across / shots.sigma if shots.sigma else 0.0
+    return Stated(ratio, shots.sigma, errors, sorted_out)
+
+
 def _condensed(shots: Shots, parts: Sequence[tuple[int, str, IntArray]]) -> list[Condensed | None]:
     """Return the shots of a sensor in a few rows, one a part (station, label, rows)."""
-    ratio = shots.sigma_across / shots.sigma if shots.sigma else 0.0
     found: list[Condensed | None] = [None] * len(parts)
     for target in TARGETS:
         seen = [i for i, (_, label, _) in enumerate(parts) if kind_of(label) == target]
         tables = [(shots.across[parts[i][2]], shots.reading[parts[i][2]]) for i in seen]
-        some = condensed_shots(KINDS[shots.kind], target, tables, Stated(ratio, shots.sigma))
+        none = np.zeros(len(RAY_ERRORS))
+        some = condensed_shots(KINDS[shots.kind], target, tables, stated_of(shots, none))
         if len(KINDS[shots.kind].axes) == 2:
             some = with_own_noise(some)
         for i, shot in zip(seen, some, strict=True):

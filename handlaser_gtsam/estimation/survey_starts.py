@@ -38,15 +38,22 @@ from ..outliers.consensus import find_consensus
 from ..quantities import NEGLIGIBLE, SINGULAR
 from ..starts import find_start
 from ..starts.choice import SAME_COST
-from ..starts.directions import least_squares
+from ..starts.directions import half_sphere, least_squares
+from ..starts.one_beam_one_plane import NORMALS
 from ..starts.rounds import FINALISTS, FIRST_STEPS, LAST_STEPS
 from .survey_mirror import has_image, motion_with_images, reflected
-from .survey_rows import Entity, Item, SurveyRows, blocks_of, priors_of, relations_of
+from .survey_rows import (
+    Entity,
+    Item,
+    SurveyRows,
+    blocks_of,
+    by_mount,
+    priors_of,
+    relations_of,
+)
 
 VIRTUAL = 3
-"""Rays of a flat sensor that serve as beams; a sensor in space has one more."""
-SWEPT = 400
-"""Normals that are tried."""
+"""Rays of a flat sensor that serve as beams; a sensor in space has four."""
 RANDOM = 300
 """Random mounts that are tried where nothing else leads to a good fit."""
 TRIMMED = 0.75
@@ -72,21 +79,20 @@ def start_of(
     mounts where nothing else leads to a good fit, are the `last_resort`; so is the search over virtual
     beams where no beam sees a plane.
     """
-    entities = list(dict.fromkeys(item.mount for item in rows.items))
-    from_planes = {}
+    of_mounts = by_mount(rows.items)
+    entities, from_planes = list(of_mounts), {}
     if last_resort or any(i.family == BEAM.name and i.target[0] == PLANE.name for i in rows.items):
         from_planes = _from_planes(rows, among_outliers=last_resort)
     ends: list[End] = []
     without = []
-    for entity in entities:
-        own = [item for item in rows.items if item.mount == entity]
+    for entity, own in of_mounts.items():
         candidates = [from_planes[entity]] if entity in from_planes else []
         candidates += [*_stated(rows, entity), *_others(rows, entity, own)]
         found = _searched_or_drawn(rows, entity, candidates, sigmas, last_resort=last_resort)
         if found is None:
             without.append(entity)
         else:
-            ends.append((_redundancy(own, found[1]), found[0] / len(own), found[1]))
+            ends.append(found)
     if without:
         return {}, tuple(without)
     motion = motion_with_images(rows) if len(ends) > 1 else None
@@ -129,19 +135,19 @@ def _searched_or_drawn(
     held: Values | None = None,
     *,
     last_resort: bool,
-) -> tuple[float, dict[Entity, FloatArray]] | None:
+) -> End | None:
     """Do as `_searched`, as the last resort from random mounts of a sensor, too."""
-    own = [item for item in rows.items if item.mount == entity]
-    found = _searched(rows, entity, own, candidates, sigmas, thorough=last_resort, held=held)
+    found = _searched(rows, entity, candidates, sigmas, held, thorough=last_resort)
     # A mean square misfit beyond this [squared standard deviations] is no good fit; of few shots a
     # false minimum fits well, too.
-    poor = found is None or found[0] > 25.0 or _redundancy(own, found[1]) < FEW_DEGREES
+    most = 25.0 / len(by_mount(rows.items)[entity])
+    poor = found is None or found[1] > most or found[0] < FEW_DEGREES
     if last_resort and entity[0] == SENSOR.name and poor:
         rng = np.random.default_rng(RANDOM)
         turns = Rotation.random(RANDOM, random_state=rng).as_matrix()
         drawn = list(map(_mount, turns, rng.normal(scale=0.1, size=(RANDOM, 3))))
-        more = _searched(rows, entity, own, drawn, sigmas, thorough=True, held=held)
-        if more is not None and (found is None or more[0] < found[0]):
+        more = _searched(rows, entity, drawn, sigmas, held, thorough=True)
+        if more is not None and (found is None or more[1] < found[1]):
             found = more
     return found
 
@@ -169,14 +175,13 @@ def _around_one(
         for entity, (_, _, own_end) in zip(entities, ends, strict=True):
             if entity == reference:
                 continue
-            own = [item for item in rows.items if item.mount == entity]
             found = _searched_or_drawn(
                 rows, entity, [own_end[entity]], sigmas, values, last_resort=last_resort
             )
             if found is None:
                 break
-            cost += found[0] / len(own)
-            values[entity[0]][0, entity[1]] = found[1][entity]
+            cost += found[1]
+            values[entity[0]][0, entity[1]] = found[2][entity]
         else:
             if cost < least:
                 best, least = values, cost
@@ -242,11 +247,9 @@ def start_beside(
 
 def all_redundant(rows: SurveyRows) -> bool:
     """Tell whether each sensor and beam that was read has `FEW_DEGREES` more numbers than unknowns."""
-    mounts = dict.fromkeys(item.mount for item in rows.items)
-    every = {mount: [item for item in rows.items if item.mount == mount] for mount in mounts}
     return all(
         _redundancy(own, {mount, *(item.target for item in own)}) >= FEW_DEGREES
-        for mount, own in every.items()
+        for mount, own in by_mount(rows.items).items()
     )
 
 
@@ -263,15 +266,15 @@ def search_again(
     rows: SurveyRows, entity: Entity, values: dict[str, FloatArray], sigmas: Mapping[Entity, float]
 ) -> None:
     """Search for a sensor or beam with its targets held where others have found them."""
-    own = [item for item in rows.items if item.mount == entity]
+    own = by_mount(rows.items)[entity]
     candidates = [values[entity[0]][0, entity[1]]]
     if entity[0] == BEAM.name:
         candidates += _random_beams()
         if all(item.target[0] == SPHERE.name for item in own):
             candidates += _beams_on_spheres(rows, own, values[SPHERE.name][0])
-    found = _searched(rows, entity, own, candidates, sigmas, thorough=True, held=values)
+    found = _searched(rows, entity, candidates, sigmas, values, thorough=True)
     if found is not None:
-        values[entity[0]][0, entity[1]] = found[1][entity]
+        values[entity[0]][0, entity[1]] = found[2][entity]
 
 
 def _empty(
@@ -298,9 +301,8 @@ def _from_planes(rows: SurveyRows, *, among_outliers: bool) -> dict[Entity, Floa
     entries: list[tuple[int, int, int, float]] = []  # plane, beam, station, reading
     virtual: dict[Entity, tuple[list[int], FloatArray, FloatArray]] = {}
     count = 0
-    before_planes = [item for item in rows.items if item.target[0] == PLANE.name]
-    for entity in dict.fromkeys(item.mount for item in before_planes):
-        own = [item for item in before_planes if item.mount == entity]
+    before_planes = by_mount(item for item in rows.items if item.target[0] == PLANE.name)
+    for entity, own in before_planes.items():
         if entity[0] == BEAM.name:
             origin, direction = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]])
             read = [(item, np.array([item.reading])) for item in own]
@@ -348,7 +350,7 @@ def _virtual_across(across: FloatArray) -> FloatArray:
     mean, spread = across.mean(axis=0), across.std(axis=0)
     mean = mean / np.linalg.norm(mean)
     aside = tangent_basis(mean[None])[0] * max(float(np.linalg.norm(spread)), 0.05)
-    corners = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])[: VIRTUAL + 1]
+    corners = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
     return np.asarray(mean + corners @ aside.T)
 
 
@@ -371,9 +373,12 @@ def _others(rows: SurveyRows, entity: Entity, own: Sequence[Item]) -> list[Float
     seen = {item.target[0] for item in own}
     if entity[0] == BEAM.name:
         points = [item for item in own if item.target[0] == POINT.name]
-        on_points = _beam_on_points(rows, points) if points else None
-        found = [] if on_points is None else [on_points]
-        return found + (_random_beams() if seen == {SPHERE.name} else [])
+        if not points:
+            return _random_beams() if seen == {SPHERE.name} else []
+        # R (r + d v) + t = C is linear in the beam and the points C.
+        (R, t), d = _hand_at(rows, points), np.array([item.reading for item in points])
+        on_points = _beam_through(R, d, -t, _unknown_places(points)[1])
+        return [] if on_points is None else [on_points]
     found = list(_swept(rows, [item for item in own if item.target[0] == PLANE.name]))
     spheres = [item for item in own if item.target[0] == SPHERE.name and _shaped(item)]
     return found + list(_from_spheres(rows, entity[1], spheres))
@@ -395,17 +400,17 @@ def _swept(rows: SurveyRows, items: Sequence[Item]) -> Iterator[FloatArray]:
     axes = [a for a in range(3) if points[..., a].any()]
     R, t = _hand_at(rows, items)
     t = t - t.mean(axis=0)
-    normals = _hemisphere(SWEPT)
+    normals = half_sphere(NORMALS)
     m = np.einsum("kc,nca->kna", normals, R)  # R'n
     rows_ = [points[None, :, :, a, None] * m[:, :, None] for a in axes]
     shape = (*rows_[0].shape[:3], 3)
     rows_ += [np.broadcast_to(m[:, :, None], shape), np.ones((*shape[:3], 1))]
-    A = np.concatenate(rows_, axis=3).reshape(SWEPT, -1, 3 * len(axes) + 4)
+    A = np.concatenate(rows_, axis=3).reshape(NORMALS, -1, 3 * len(axes) + 4)
     right = -np.repeat(normals @ t.T, points.shape[1], axis=1)
     x = least_squares(A, right, SINGULAR**0.75)
-    X = nearest_rotation(_columns(x[:, : 3 * len(axes)].reshape(SWEPT, len(axes), 3), axes))
+    X = nearest_rotation(_columns(x[:, : 3 * len(axes)].reshape(NORMALS, len(axes), 3), axes))
     turned = np.einsum("kab,nrb->knra", X, points)
-    offset = np.einsum("kna,knra->knr", m, turned).reshape(SWEPT, -1)
+    offset = np.einsum("kna,knra->knr", m, turned).reshape(NORMALS, -1)
     B = A[..., -4:]
     y = least_squares(B, right - offset, SINGULAR**0.75)
     e = (B @ y[..., None])[..., 0] + offset - right
@@ -512,13 +517,6 @@ def _columns(rows: FloatArray, axes: Sequence[int]) -> FloatArray:
     return found
 
 
-def _beam_on_points(rows: SurveyRows, items: Sequence[Item]) -> FloatArray | None:
-    """Return the beam that solves R (r + d v) + t = C linearly, with the points C."""
-    R, t = _hand_at(rows, items)
-    d = np.array([item.reading for item in items])
-    return _beam_through(R, d, -t, _unknown_places(items)[1])
-
-
 def _beams_on_spheres(
     rows: SurveyRows, items: Sequence[Item], spheres: FloatArray
 ) -> Iterator[FloatArray]:
@@ -576,34 +574,25 @@ def _mount(R: FloatArray, t: FloatArray) -> FloatArray:
     return np.concatenate((R.ravel(), t, np.zeros(SENSOR.size - 12)))
 
 
-def _hemisphere(count: int) -> FloatArray:
-    """Return unit vectors that cover half a sphere evenly (a Fibonacci lattice)."""
-    i = np.arange(count) + 0.5
-    z, a = i / count, np.pi * (1.0 + 5.0**0.5) * i
-    root = np.sqrt(1.0 - z**2)
-    return np.stack((root * np.cos(a), root * np.sin(a), z), axis=1)
-
-
 # --- searched --------------------------------------------------------------------------------------
 
 
 def _searched(
     rows: SurveyRows,
     entity: Entity,
-    own: Sequence[Item],
     candidates: Sequence[FloatArray],
     sigmas: Mapping[Entity, float],
+    held: Values | None,
     *,
     thorough: bool,
-    held: Values | None = None,
-) -> tuple[float, dict[Entity, FloatArray]] | None:
-    """Return how well one sensor or beam fits at its best minimum, and where it and its targets are.
+) -> End | None:
+    """Return the best minimum of one sensor or beam, from some candidates for its mount.
 
     Its targets stay where they are in the values `held`, if these are given.
     """
     if not candidates:
         return None
-    K = len(candidates)
+    own, K = by_mount(rows.items)[entity], len(candidates)
     begun = _empty(rows) if held is None else held
     values = {n: np.repeat(x, K, axis=0) for n, x in begun.items() if n != POSE.name}
     for k, x in enumerate(candidates):
@@ -639,7 +628,8 @@ def _searched(
     count = np.add.reduceat((e != 0.0).any(axis=0).astype(float), begins)
     q = np.sort(np.add.reduceat(e**2, begins, axis=1) / np.maximum(count, 1.0), axis=1)
     # Of few shots those that fit best fit at a false minimum, too.
-    trimmed = TRIMMED if _redundancy(own, (entity, *targets)) >= FEW_DEGREES else 1.0
+    redundancy = _redundancy(own, (entity, *targets))
+    trimmed = TRIMMED if redundancy >= FEW_DEGREES else 1.0
     most = max(int(np.ceil(trimmed * q.shape[1])), 1)
     cost = q[:, :most].mean(axis=1)
     cost = np.where(np.isfinite(ended.cost), cost, np.inf)
@@ -652,7 +642,8 @@ def _searched(
         off = [np.square(r.evaluate(ended.values).columns[-1]).sum(axis=(1, 2)) for r in stated]
         alike = cost <= SAME_COST * cost[k]
         k = int(np.where(alike, np.sum(off, axis=0), np.inf).argmin())
-    return float(cost[k]), {e: ended.values[e[0]][k, e[1]] for e in (entity, *targets)}
+    there = {e: ended.values[e[0]][k, e[1]] for e in (entity, *targets)}
+    return redundancy, float(cost[k]) / len(own), there
 
 
 def _complete(rows: SurveyRows, items: Sequence[Item], values: dict[str, FloatArray]) -> None:

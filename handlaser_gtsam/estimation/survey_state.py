@@ -13,18 +13,18 @@ from ..model.relation import BODY, Relation, held
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
-from .dense import DenseRows, dense_rows, with_pose_errors
-from .estimate import BlockProblem, descended, minimum
+from .dense import DenseRows, dense_rows, unknowns_of, with_pose_errors
+from .estimate import BlockProblem, minimum
 from .joint_solution import STEPS_IN_VAIN
 from .survey_noise import Components
-from .survey_rows import SurveyRows, blocks_of, near_the_hand, priors_of, relations_of
+from .survey_rows import Item, SurveyRows, blocks_of, near_the_hand, priors_of, relations_of
 
 
 @dataclass(slots=True)
 class SurveyState:
     """The values and the sizes of the noise so far, and which items count.
 
-    `stated` is what is stated of the noise; what is not is NaN.
+    `stated` is what is stated of the noise; what is not is NaN. Relations count where it is `tied`.
     """
 
     rows: SurveyRows
@@ -32,8 +32,13 @@ class SurveyState:
     values: dict[str, FloatArray]
     sizes: Components
     used: BoolArray
-    relations: Sequence[tuple[Known, Relation]]
     stated: Components
+    tied: bool = True
+
+    @property
+    def relations(self) -> list[tuple[Known, Relation]]:
+        """The relations that count, each face of a body as one."""
+        return relations_of(self.rows) if self.tied else []
 
     @property
     def learning(self) -> bool:
@@ -57,13 +62,19 @@ class SurveyState:
     def problem(self, *, pose_errors: bool = True) -> tuple[BlockProblem, IntArray]:
         """Return the problem of the items that count, and the number of the item of each row."""
         used = np.flatnonzero(self.used)
-        items = [self.rows.items[i] for i in used]
-        blocks, owner = blocks_of(items, self.sigmas(), self.values)
-        if pose_errors:
-            own = self.own_covariance() if self.sizes.again else None
-            blocks = with_pose_errors(blocks, self.values, self.pose_covariance(), own)
+        blocks, owner = self._blocks(self.rows.counted(self.used), pose_errors=pose_errors)
         unknown, length = self.rows.unknown(), self.rows.length
         return BlockProblem([*blocks, *self.beside()], self.values, unknown, length), used[owner]
+
+    def _blocks(
+        self, items: Sequence[Item], *, pose_errors: bool = True
+    ) -> tuple[list[Block], IntArray]:
+        """Return `blocks_of` items, errors of the hand counted or not."""
+        blocks, owner = blocks_of(items, self.sigmas(), self.values)
+        if pose_errors:
+            errors = self.pose_covariance(), self.own_covariance()
+            blocks = with_pose_errors(blocks, self.values, *errors)
+        return blocks, owner
 
     def chi2(self) -> float:
         """Return the sum of squares of all that counts, in standard deviations."""
@@ -72,11 +83,8 @@ class SurveyState:
 
     def misfits(self) -> FloatArray:
         """Return the root mean square misfit of every item, used or not, in standard deviations."""
-        blocks, owner = blocks_of(self.rows.items, self.sigmas(), self.values)
-        own = self.own_covariance() if self.sizes.again else None
-        blocks = with_pose_errors(blocks, self.values, self.pose_covariance(), own)
-        rows = dense_rows(blocks, self.values, BlockProblem([], self.values, {}).places())
-        square = rows.whitened()[1] ** 2
+        blocks, owner = self._blocks(self.rows.items)
+        square = dense_rows(blocks, self.values, unknowns_of({}, {})).whitened()[1] ** 2
         total, count = (np.bincount(owner, x, len(self.used)) for x in (square, square > 0.0))
         return np.asarray(np.sqrt(total / np.maximum(count, 1.0)))
 
@@ -99,17 +107,10 @@ class SurveyState:
         if not self.used.any():
             return False
         problem, _ = self.problem()
-        blocks = problem.blocks
-
-        def ended(values: dict[str, FloatArray]) -> dict[str, FloatArray] | None:
-            if iterations is None:
-                return minimum(problem, blocks, values)
-            return descended(problem, blocks, values, iterations)
-
-        again = ended(self.values)
+        again = minimum(problem, self.values, iterations)
         if again is not None and SPHERE.name in again and (again[SPHERE.name][..., 3] < 0.0).any():
             again[SPHERE.name][..., 3] = np.abs(again[SPHERE.name][..., 3])
-            again = ended(again)
+            again = minimum(problem, again, iterations)
         if again is None:
             return False
         self.values = again
@@ -117,11 +118,10 @@ class SurveyState:
 
     def draw_to_the_hand(self) -> None:
         """Go to the minimum near the hand, of several that fit alike."""
-        relations, holds = self.relations, near_the_hand(self.rows)
-        held = relations_of(replace(self.rows, known=(*self.rows.known, *holds)))[-len(holds) :]
-        self.relations = [*relations, *held]
+        rows = self.rows
+        self.rows = replace(rows, known=(*rows.known, *near_the_hand(rows)))
         self.minimize(STEPS_IN_VAIN)
-        self.relations = relations
+        self.rows = rows
         self.minimize(STEPS_IN_VAIN)
 
     def _held(self) -> Iterator[Block]:

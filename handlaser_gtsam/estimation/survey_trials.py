@@ -30,7 +30,7 @@ from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..quantities import MAJORITY, MANY_OUTLIERS, NEGLIGIBLE, NUMBERS_AT_ONCE, TEN_TIMES, TINY
-from .dense import DenseRows
+from .dense import DenseRows, spanned, unknowns_of
 from .joint_solution import STEPS_IN_VAIN
 from .survey import SurveyEstimate, estimate_survey, learned_sizes, sizes_and_likelihood, state_of
 from .survey_noise import Components
@@ -100,8 +100,7 @@ def try_free(state: SurveyState, columns: Columns) -> Tried:
 def too_small_alike(found: SurveyEstimate, member: int) -> Tried:
     """Return by which part x and z of a profiler are too small alike: k1 and its scale are one."""
     state = found.learning()
-    problem, _ = state.problem()
-    whole = replace(problem, unknown={**problem.unknown, SENSOR.name: True}).places()
+    whole = unknowns_of(state.rows.counts(), {**state.rows.unknown(), SENSOR.name: True})
     place = whole.place[SENSOR.name][member] + [POSE.dim + RAY_ERRORS.index(one) for one in ALIKE]
 
     def columns(at: SurveyState, pose_errors: bool) -> FloatArray:
@@ -244,7 +243,11 @@ def with_noise_learned(found: SurveyEstimate) -> SurveyEstimate:
     if wrong and (solved or len(wrong) < len(every) or not hand):
         free = estimate_survey(*_without(found, wrong), found)
     # Which shots count is decided again: one that is rejected either way tells nothing.
-    if not (wrong and _compares(free, found) and _differ(found, free, wrong)):
+    if not (wrong and _compares(free, found)):
+        return found
+    states = found.learning(), _unstated(found, wrong, free)
+    before, after = (_unlikelihood(state, found.noise)[1] for state in states)
+    if before - after <= CONTRADICTED:
         return found
     return replace(free, contradicted=(survey, found.given))
 
@@ -283,13 +286,6 @@ def _contradicted(found: SurveyEstimate, near: SurveyEstimate, every: list[int])
             break
         wrong, least = [*wrong, left[best]], value[best]
     return wrong
-
-
-def _differ(found: SurveyEstimate, free: SurveyEstimate, sigmas: list[int]) -> bool:
-    """Tell whether the readings contradict what is stated, beside an estimate without some sigmas."""
-    states = found.learning(), _unstated(found, sigmas, free)
-    before, after = (_unlikelihood(state, found.noise)[1] for state in states)
-    return before - after > CONTRADICTED
 
 
 def _unstated(found: SurveyEstimate, sigmas: list[int], near: SurveyEstimate) -> SurveyState:
@@ -405,13 +401,8 @@ class _Trial:
     """Further unknowns of some rows, noise as it is."""
 
     def __init__(self, rows: DenseRows) -> None:
-        J, e = rows.whitened()
-        scale = np.maximum(np.sqrt((J**2).sum(axis=0)), TINY)
-        U, size, V = np.linalg.svd(J / scale, full_matrices=False)
-        some = size > NEGLIGIBLE * size[0]
-        self._rows, self._known = rows, U[:, some]
-        self._inverse = (V[some].T / size[some] / scale[:, None]) @ self._known.T
-        self.residuals = e
+        J, self.residuals = rows.whitened()
+        self._rows, (self._known, self._inverse, _) = rows, spanned(J)
 
     def explained(self) -> tuple[FloatArray, float]:
         """Return the residuals that its unknowns leave, and by how much chi2 is less with them."""

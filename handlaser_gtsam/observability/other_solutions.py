@@ -42,7 +42,7 @@ from ..model.weighting import Whitening
 from ..quantities import KNOWN, MOST_ROUNDS, NEGLIGIBLE, ROUNDING
 from ..solvers.beam_problem import LEAST_DAMPING, linearized, moved, refine, refine_many
 from ..starts.directions import direction_starts, random_starts
-from ..starts.growing import EXCERPT_READINGS, grow
+from ..starts.growing import EXCERPT_READINGS
 from .motion import poor_motion, reflected, some_plane_leans, squares_of
 from .rank import Observability, ObservabilityOptions, observability
 
@@ -252,9 +252,8 @@ def least_observed(
         return held(
             parameters, observed, judge._replace(most_squares=judge.squares(parameters) + margin)
         )
-    partial = random_starts(readings, 16, np.random.default_rng(0))
-    partial += direction_starts(readings, 8)
-    starts = [parameters, *(grow(start, readings) for start in partial)]
+    drawn = random_starts(readings, 16, np.random.default_rng(0))
+    starts = [parameters, *drawn, *direction_starts(readings, 8)]
     steps = 60  # where something is undetermined they converge slowly
     tried = refine_many(starts, readings, 0, steps)
     if judge.free_terms:

@@ -162,7 +162,7 @@ class _Known(Aim):
     ) -> None:
         found = calibration._found
         problem = found.problem()
-        information, axes, self._unit = information_axes(problem, problem.blocks, problem.start)
+        information, axes, self._unit = information_axes(problem, problem.start)
         self._rows = np.sqrt(information)[:, None] * axes.T
         self._open = bool(calibration.undetermined)
         unit = self._unit

@@ -19,7 +19,6 @@ from ..estimation.estimate import (
     TestedEffect,
     covariance_along,
     information_axes,
-    kept_blocks,
     least_information,
     tested_columns,
 )
@@ -457,7 +456,7 @@ def _sensor(found: SurveyEstimate, member: int, errors: Mapping[str, TestedEffec
 def _information(found: SurveyEstimate) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return `information_axes` of the rows that were used, at the estimate."""
     problem = found.problem()
-    return information_axes(problem, kept_blocks(problem, found.estimate), problem.start)
+    return information_axes(problem, problem.start)
 
 
 def _spot_of(shots: Shots) -> FloatArray:

@@ -173,10 +173,10 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     if first.fits and not drawn:  # only as its mirror image
         state.draw_to_the_hand()
     problem, _ = state.problem()
-    information, axes, _ = information_axes(problem, problem.blocks, state.values)
+    information, axes, _ = information_axes(problem, state.values)
     exact = information < NEGLIGIBLE**2 * information.max()
     weak = ~exact & (information < least_information(information))
-    found = judged(problem, problem.blocks, dict(state.values))
+    found = judged(problem, dict(state.values))
     found, images = with_images(found, others)
     warnings = (*mislabelled(state, found), *implausible(rows, state.values), *warnings)
     undetermined, advice = open_words(state.rows, found, axes[:, exact | weak], images)

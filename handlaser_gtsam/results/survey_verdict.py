@@ -195,7 +195,7 @@ def _pose_share(result: "SurveyCalibration") -> float:
     J, variances = result.mounts[number].spot_by(), []
     for times in (0.5, 2.0):
         problem = found.problem(times)
-        axes = information_axes(problem, problem.blocks, problem.start)
+        axes = information_axes(problem, problem.start)
         # Range errors of a sensor stand after the unknowns of where it is.
         first = int(problem.places().place[family][member])
         variances.append(float(np.trace(covariance_along(axes, J, first))))

@@ -19,7 +19,7 @@ from ..data.noise import OF_POSE
 from ..data.screening import REPEATED, repeated
 from ..data.survey import normal_label
 from ..errors import CalibrationWarning
-from ..estimation.estimate import BlockProblem, descended, search_from
+from ..estimation.estimate import BlockProblem, minimum, search_from
 from ..estimation.scales import ROTATION, TRANSLATION, NoiseComponent
 from ..estimation.survey import SurveyEstimate, usual_noise
 from ..estimation.survey_outliers import alike_by_zone
@@ -49,7 +49,7 @@ from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..quantities import FAR_SIGMAS, IN_MM, MAJORITY, MANY_OUTLIERS
 from ..starts.beam_minima import MINIMUM_READINGS, MINIMUM_STARTS
-from ..starts.directions import sphere
+from ..starts.directions import half_sphere
 from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
 from ..text import count, some
 from .lines import NAMES_IN_LINE
@@ -409,7 +409,7 @@ def _rivals(
             moved = state.values[BEAM.name].copy()
             moved[0, member] = mount
             problem, _ = replace(state, values={**state.values, BEAM.name: moved}).problem()
-            there = descended(problem, problem.blocks, problem.start, LAST_STEPS)
+            there = minimum(problem, problem.start, LAST_STEPS)
             if there is None:
                 continue
             excess = replace(state, values=there).chi2() - state.chi2()
@@ -428,7 +428,7 @@ def _minima(state: SurveyState, member: int) -> Iterator[FloatArray]:
     alone, _ = replace(state, used=np.isin(np.arange(len(items)), some)).problem()
     v, d = x[OF_DIRECTION], float(np.median([items[i].reading for i in some]))
     # Twice as many as before planes: spheres have minima on every side of where a beam meets them.
-    half = sphere(4 * MINIMUM_STARTS)[: 2 * MINIMUM_STARTS]
+    half = half_sphere(2 * MINIMUM_STARTS)
     turned = half @ np.column_stack((bases(v), v)).T
     starts = np.repeat(x[None], 2 * len(turned) + 1, axis=0)  # the first is the mount itself
     starts[1:, OF_DIRECTION], starts[1:, OF_RANGE_ERROR] = np.tile(turned, (2, 1)), 0.0
@@ -437,7 +437,7 @@ def _minima(state: SurveyState, member: int) -> Iterator[FloatArray]:
     beams[:, member] = starts
     unknown = {BEAM.name: alone.unknown[BEAM.name]}
     problem = BlockProblem(alone.blocks, {**state.values, BEAM.name: beams}, unknown, alone.length)
-    ends = search_from(problem, problem.blocks, problem.start, LAST_STEPS)
+    ends = search_from(problem, problem.start, LAST_STEPS)
     mounts, excess = ends.values[BEAM.name][:, member], 2.0 * (ends.cost - ends.cost[0])
     seen = [v]
     for k in np.argsort(excess).tolist():

@@ -37,7 +37,6 @@ from ..solvers.beam_problem import LEAST_DAMPING, solve_together
 from ..starts.beam_minima import MINIMUM_STARTS, beam_minima
 from ..starts.choice import POOR_START
 from ..starts.directions import direction_starts
-from ..starts.growing import grow
 from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
 from ..text import count
 from .calibration_data import Beam, Fit
@@ -290,7 +289,7 @@ def rival_warnings(
     starts = [at, *_other_mounts(at, used, fit.range_sigma)]
     if used.beams == 1 and solution.redundancy < solution.observability.unknowns:
         # Planes rest on few readings of one beam, and go with its mount: from all around.
-        starts += [grow(start, used) for start in direction_starts(used, 2 * MINIMUM_STARTS)]
+        starts += direction_starts(used, 2 * MINIMUM_STARTS)
     if len(starts) == 1:
         return
     how = fit.range_sigma if solution.whitening is None else [solution.whitening] * len(starts)

@@ -18,6 +18,7 @@ from itertools import accumulate
 import numpy as np
 
 from ..arrays import IntArray
+from ..estimation.scale_mixture import parts_of
 from ..estimation.survey_outliers import most_contradicted
 from ..model.distributions import squares_sf
 from ..model.families import BEAM, MOUNT_DIM
@@ -56,15 +57,14 @@ def search(
     if not epochs.size:
         return None
     totals = list(accumulate(plane.information[0] for plane in planes.values()))
-    whole = totals[-1]
+    matrix, vector, _ = parts_of(totals[-1])
     try:
-        x = np.linalg.solve(whole.matrix, whole.vector)
-        covariance = np.linalg.inv(whole.matrix)
+        x = np.linalg.solve(matrix, vector)
+        covariance = np.linalg.inv(matrix)
     except np.linalg.LinAlgError:
         return None
-    late = [whole - totals[epoch - 1] for epoch in epochs.tolist()]
-    L = np.stack([information.matrix for information in late])
-    s = np.stack([information.vector for information in late]) - L @ x
+    L, s, _ = parts_of(totals[-1] - np.stack([totals[epoch - 1] for epoch in epochs.tolist()]))
+    s = s - L @ x
     M = L - L @ covariance @ L
     beams = moves(config)
     values, axes = np.linalg.eigh(M[:, beams[:, :, None], beams[:, None, :]])

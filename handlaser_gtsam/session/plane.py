@@ -20,7 +20,7 @@ from ..data.recording import Readings, Recording
 from ..errors import GrazingBeamError
 from ..estimation.estimate import MOST_REJECTED
 from ..estimation.learning_scales import LinearReadings
-from ..estimation.scale_mixture import Information
+from ..estimation.scale_mixture import parts_of
 from ..factors.keys import plane_key, pose_key
 from ..model.distributions import chi2_sf, gaussian_sf, student_quantile
 from ..model.families import BEAM, PLANE
@@ -30,7 +30,7 @@ from ..quantities import KNOWN, NEGLIGIBLE, ROUGH_CUT
 from ..solvers.beam_problem import jacobian_columns, moved
 from ..solvers.graph import grouped_blocks, pose_priors
 from ..solvers.isam import BeamState, GraphPart
-from ..starts.growing import PartialStart, grow
+from ..starts.growing import grown_from
 from .config import SessionConfig
 
 
@@ -47,8 +47,9 @@ class FittedPlane:
         [m]
     whitening : Whitening
         Poses eliminated.
-    information : Information
-        What the plane knows of the beams, in natural units, for each of `SessionConfig.sets`.
+    information : (J, n + 1, n + 1)
+        What the plane knows of the beams (`information_of`), in natural units, for each of the J
+        `SessionConfig.sets`.
     origin : (3,)
         Origin of the frame in the world [m].
     """
@@ -58,7 +59,7 @@ class FittedPlane:
     parameters: Parameters
     residual: FloatArray
     whitening: Whitening
-    information: Information
+    information: FloatArray
     origin: FloatArray
 
     def mask(self, recording: Recording, rows: BoolArray) -> BoolArray:
@@ -72,11 +73,11 @@ class FittedPlane:
     @cached_property
     def fits(self) -> bool:
         """Whether its readings agree with each other, whatever the beams are."""
-        known = self.information[0]
+        matrix, vector, _ = parts_of(self.information[0])
         white = self.whitening.apply(self.residual) / self.whitening.sigma
-        values, axes = np.linalg.eigh(known.matrix)
+        values, axes = np.linalg.eigh(matrix)
         keep = values > 1.0
-        fall = ((axes.T @ known.vector)[keep] ** 2 / values[keep]).sum()
+        fall = ((axes.T @ vector)[keep] ** 2 / values[keep]).sum()
         return self._likely(float(white @ white - fall), len(white) - 3 - int(keep.sum()))
 
     def agrees(self, state: BeamState) -> bool:
@@ -223,7 +224,7 @@ def fit_plane(
     variances, base = (of.for_stations(stations) for of in (config.variances, config.base))
     r, v, k = at
     # The plane through the laser spots by total least squares, facing away from the beams.
-    parameters = grow(PartialStart.of(readings, r=r, v=v, k=k), readings)
+    parameters = grown_from(readings, r=r, v=v, k=k)
     still, unit = np.zeros((len(r), BEAM.dim)), PLANE.natural_units(config.length)
     try:
         # A second pass judges the noise of readings by the weighted plane, not by that of the spots.

@@ -23,7 +23,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.damped_search import LevenbergOptions
 from ..quantities import NUMBERS_AT_ONCE, ROUNDING, TINY
-from .directions import FLATTEST, sphere
+from .directions import FLATTEST, half_sphere
 from .rounds import FIRST_STEPS, SAME_DIRECTION
 
 MINIMUM_STARTS = 14
@@ -124,7 +124,7 @@ class _BeamsBeforePlanes:
     def minima(self, now: FloatArray) -> FloatArray:
         """Return directions (B, F, 3) of minima, from starts in the half sphere about `now` (B, 3)."""
         bases = np.concatenate((model.tangent_basis(now), now[:, :, None]), axis=2)
-        v = sphere(2 * MINIMUM_STARTS)[:MINIMUM_STARTS] @ np.swapaxes(bases, 1, 2)
+        v = half_sphere(MINIMUM_STARTS) @ np.swapaxes(bases, 1, 2)
         r, cost = self.cost(v)
         options = LevenbergOptions()
         damping = np.full(cost.shape, options.first_damping)

@@ -21,7 +21,7 @@ from ..quantities import MAJORITY, ROUNDING
 from ..solvers.beam_problem import Candidate, refine_many
 from .beam_minima import with_better_beams
 from .directions import direction_starts, random_starts
-from .growing import PartialStart, excerpt_of, grow
+from .growing import excerpt_of, grown_from
 from .one_beam_one_plane import lifted_starts, sweep_starts
 from .rounds import (
     AGREEING,
@@ -118,8 +118,7 @@ def find_start(
         earlier=() if earlier is None else earlier.candidates,
     )
     if not candidates:
-        lost = grow(PartialStart.of(readings), readings)
-        return Start(lost, "least norm", (("least norm", float("inf")),))
+        return Start(grown_from(readings), "least norm", (("least norm", float("inf")),))
     best, squares = candidates[0].parameters, candidates[0].criterion
     if not part.is_whole:
         best, squares = _polished(part.extended(best), readings, terms)
@@ -165,34 +164,27 @@ def _first_rounds(readings: Readings, terms: int) -> Iterator[Round]:
     """Yield the cheap starts."""
     closed = translation_start(readings)
     if closed is not None:
-        yield Round(_grown("translations", [closed], readings))
+        yield Round([("translations", closed)])
     corrected = translation_start_with_range_errors(readings) if terms else None
-    yield Round(
-        [
-            *_grown("translations with range error", [corrected] if corrected else [], readings),
-            *_grown("lifted", lifted_starts(readings, 2), readings),
-            *_grown("sweep", sweep_starts(readings), readings),
-            *_grown("directions", direction_starts(readings, 6), readings),
-        ]
-    )
+    ways = {
+        "translations with range error": [] if corrected is None else [corrected],
+        "lifted": lifted_starts(readings, 2),
+        "sweep": sweep_starts(readings),
+        "directions": direction_starts(readings, 6),
+    }
+    yield Round([(method, start) for method, starts in ways.items() for start in starts])
 
 
 def _later_rounds(readings: Readings, effort: Effort) -> Iterator[Round]:
     """Yield finer sweeps and random starts, as far as the effort goes."""
     if effort in ("glance", "quick"):
         return
-    yield Round(_grown("directions", direction_starts(readings, 40, tried=600), readings))
-    yield Round(_grown("sweep", sweep_starts(readings, refined=16, seeds=8, kept=4), readings))
+    yield Round.of("directions", direction_starts(readings, 40, tried=600))
+    yield Round.of("sweep", sweep_starts(readings, refined=16, seeds=8, kept=4))
     rng = np.random.default_rng(0)
     # Of the hardest problems met, each random start reaches the optimum in one case of 50.
     for _ in range(5 if effort == "thorough" else 0):
-        yield Round(_grown("random", random_starts(readings, 100, rng), readings))
-
-
-def _grown(
-    method: str, starts: Sequence[PartialStart], readings: Readings
-) -> list[tuple[str, Parameters]]:
-    return [(method, grow(start, readings)) for start in starts]
+        yield Round.of("random", random_starts(readings, 100, rng))
 
 
 def refined_starts(
@@ -269,7 +261,7 @@ def mean_squares_at_a_glance(recordings: Sequence[Readings]) -> FloatArray:
     """
     parts = [excerpt_of(readings).readings for readings in recordings]
     kept, tried = 4, 60  # directions; the latter lie about 26 degrees apart
-    starts = [grow(one, part) for part in parts for one in direction_starts(part, kept, tried)]
+    starts = [one for part in parts for one in direction_starts(part, kept, tried)]
     each = [part for part in parts for _ in range(kept)]
     refined = refine_many(starts, each, 0, FIRST_STEPS)
     squares = np.array([np.inf if one is None else one.criterion for one in refined])

@@ -21,9 +21,10 @@ import numpy as np
 
 from .. import model
 from ..arrays import BoolArray, FloatArray
+from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..quantities import MAJORITY, NEGLIGIBLE, NUMBERS_AT_ONCE, TINY
-from .growing import PartialStart
+from .growing import grown_from
 
 FITTING_TURNS = 3
 """Turns of fitting planes, then the location, after which directions can be ranked; one more for
@@ -36,7 +37,7 @@ DRAWN = (0.4, 0.9)
 rarely avoid a wrong station."""
 
 
-def direction_starts(readings: Readings, count: int, tried: int = 200) -> list[PartialStart]:
+def direction_starts(readings: Readings, count: int, tried: int = 200) -> list[Parameters]:
     """Return the `count` best starts of `tried` directions over the sphere."""
     v = sphere(tried)
     away, r, n, b = _swept(v, readings)
@@ -46,7 +47,7 @@ def direction_starts(readings: Readings, count: int, tried: int = 200) -> list[P
 
 def subset_starts(
     readings: Readings, count: int, tried: int, rng: np.random.Generator
-) -> list[PartialStart]:
+) -> list[Parameters]:
     """Return the `count` best starts of `tried` directions over the sphere; every plane has readings.
 
     Parameters
@@ -98,7 +99,7 @@ def _swept(
     return np.abs(away) / np.maximum(cosine, FLATTEST), r, n, b
 
 
-def random_starts(readings: Readings, count: int, rng: np.random.Generator) -> list[PartialStart]:
+def random_starts(readings: Readings, count: int, rng: np.random.Generator) -> list[Parameters]:
     """Return starts of random directions and locations, up to twenty ranges from the hand's origin."""
     v = model.normalized(rng.standard_normal((count, 3)))
     r = model.normalized(rng.standard_normal((count, 3)))
@@ -109,10 +110,10 @@ def random_starts(readings: Readings, count: int, rng: np.random.Generator) -> l
 
 def _starts(
     r: FloatArray, v: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
-) -> list[PartialStart]:
+) -> list[Parameters]:
     """Return starts of C locations and directions, which all beams share, and of C times P planes."""
     rows = zip(r, v, n, b, strict=True)
-    return [PartialStart.of(readings, r=r, v=v, n=n, b=b) for r, v, n, b in rows]
+    return [grown_from(readings, r=r, v=v, n=n, b=b) for r, v, n, b in rows]
 
 
 def _reach(v: FloatArray, readings: Readings) -> FloatArray:
@@ -133,6 +134,11 @@ def sphere(count: int) -> FloatArray:
     angle = index * np.pi * (3.0 - np.sqrt(5.0))
     radius = np.sqrt(1.0 - z * z)
     return np.stack((radius * np.cos(angle), radius * np.sin(angle), z), axis=1)
+
+
+def half_sphere(count: int) -> FloatArray:
+    """Return `count` unit vectors (count, 3) spread evenly over half a sphere."""
+    return sphere(2 * count)[:count]
 
 
 def _planes_through(

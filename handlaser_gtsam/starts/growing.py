@@ -38,29 +38,16 @@ class PartialStart:
     range_errors: FloatArray
 
     @classmethod
-    def of(
-        cls,
-        readings: Readings,
-        beams: Index = ALL,
-        planes: Index = ALL,
-        r: ArrayLike = np.nan,
-        v: ArrayLike = np.nan,
-        n: ArrayLike = np.nan,
-        b: ArrayLike = np.nan,
-        k: ArrayLike = 0.0,
-    ) -> "PartialStart":
-        """Return a start that knows r, v and k of some beams, n and b of some planes, or nothing."""
+    def of(cls, readings: Readings) -> "PartialStart":
+        """Return a start that knows nothing."""
         of_beams, of_planes = (readings.beams, 3), (readings.planes, 3)
-        start = cls(
+        return cls(
             np.full(of_beams, np.nan),
             np.full(of_beams, np.nan),
             np.full(of_planes, np.nan),
             np.full(readings.planes, np.nan),
             np.zeros((readings.beams, 2)),
         )
-        start.locations[beams], start.directions[beams], start.range_errors[beams] = r, v, k
-        start.normals[planes], start.offsets[planes] = n, b
-        return start
 
     def known_beams(self) -> BoolArray:
         """Return a boolean (B,): location and direction are known."""
@@ -69,6 +56,23 @@ class PartialStart:
     def known_planes(self) -> BoolArray:
         """Return a boolean (P,): normal and offset are known."""
         return np.asarray(~np.isnan(self.normals.sum(axis=1) + self.offsets))
+
+
+def grown_from(
+    readings: Readings,
+    beams: Index = ALL,
+    planes: Index = ALL,
+    r: ArrayLike = np.nan,
+    v: ArrayLike = np.nan,
+    n: ArrayLike = np.nan,
+    b: ArrayLike = np.nan,
+    k: ArrayLike = 0.0,
+) -> Parameters:
+    """Return all beams and planes, grown from r, v and k of some beams, n and b of some planes."""
+    start = PartialStart.of(readings)
+    start.locations[beams], start.directions[beams], start.range_errors[beams] = r, v, k
+    start.normals[planes], start.offsets[planes] = n, b
+    return grow(start, readings)
 
 
 def grow(start: PartialStart, readings: Readings) -> Parameters:
@@ -194,12 +198,9 @@ class Excerpt(NamedTuple):
 
     def extended(self, parameters: Parameters) -> Parameters:
         """Return the parameters of the whole: the others grow from the spots of the beams."""
-        if self.is_whole:
-            return parameters
         r, v, k = parameters.beams
         n, b = parameters.normals, parameters.offsets
-        start = PartialStart.of(self.whole, self.beams, self.planes, r, v, n, b, k)
-        return grow(start, self.whole)
+        return grown_from(self.whole, self.beams, self.planes, r, v, n, b, k)
 
 
 def excerpt_of(readings: Readings) -> Excerpt:

@@ -26,8 +26,8 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..quantities import ROUNDING, TINY
 from ..solvers.beam_problem import refine_many
-from .directions import least_squares, sphere
-from .growing import PartialStart
+from .directions import half_sphere, least_squares
+from .growing import grown_from
 from .rounds import SAME_DIRECTION
 
 LIFTED_READINGS = 24
@@ -38,7 +38,7 @@ RIDGE = 1e-10
 """Part of the trace that is added to normal equations which a motion may leave singular."""
 
 
-def lifted_starts(readings: Readings, count: int) -> list[PartialStart]:
+def lifted_starts(readings: Readings, count: int) -> list[Parameters]:
     """Return one start for each of the `count` largest blocks of a beam and a plane that allow it."""
     starts = readings.block_starts()
     sizes = np.diff(np.append(starts, len(readings)))
@@ -53,7 +53,7 @@ def lifted_starts(readings: Readings, count: int) -> list[PartialStart]:
     return lifted
 
 
-def _solve_lifted(readings: Readings, rows: IntArray) -> PartialStart | None:
+def _solve_lifted(readings: Readings, rows: IntArray) -> Parameters | None:
     part = readings.subset(rows)
     beam, plane = part.beam[0], part.plane[0]
     centre = part.world_t_hand.mean(axis=0)
@@ -77,13 +77,13 @@ def _solve_lifted(readings: Readings, rows: IntArray) -> PartialStart | None:
     if not np.linalg.norm(v) > 0.0:
         return None
     v = v / np.linalg.norm(v)
-    return PartialStart.of(readings, beam, plane, nr.T @ n, v, n, b - n @ centre)
+    return grown_from(readings, beam, plane, nr.T @ n, v, n, b - n @ centre)
 
 
 def sweep_starts(
     readings: Readings, refined: int = 8, seeds: int = 2, kept: int = 2
-) -> list[PartialStart]:
-    """Return starts that know one beam and one plane each.
+) -> list[Parameters]:
+    """Return starts that grow from one beam and one plane each.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def sweep_starts(
                 best.append(solution.parameters)
         for p in best[:kept]:
             r, v, n, b = p.locations[0], p.directions[0], p.normals[0], p.offsets[0]
-            starts.append(PartialStart.of(readings, beam, plane, r, v, n, b))
+            starts.append(grown_from(readings, beam, plane, r, v, n, b))
     return starts
 
 
@@ -136,7 +136,7 @@ def _linear_solutions(readings: Readings, count: int) -> list[Parameters]:
     The first solve leaves v its length; the second fixes v at length one and solves for (r, b) again:
     few stations fit almost any normal with some length of v.
     """
-    n = sphere(2 * NORMALS)[:NORMALS]
+    n = half_sphere(NORMALS)
     centre = readings.world_t_hand.mean(axis=0)
     n_hand = np.einsum("mji,cj->cmi", readings.world_R_hand, n)
     ones = np.ones((*n_hand.shape[:2], 1))

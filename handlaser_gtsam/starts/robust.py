@@ -28,7 +28,6 @@ from ..model.losses import Loss
 from ..quantities import FAR_SIGMAS, ROUNDING
 from ..solvers.beam_problem import Candidate, refine_many
 from .directions import FLATTEST, direction_starts, random_starts, subset_starts
-from .growing import PartialStart, grow
 from .rounds import AGREEING, FINALISTS, FIRST_STEPS, LAST_STEPS, Round, search
 
 METHOD = "consensus"
@@ -108,24 +107,20 @@ def rounds(
     if not np.bincount(near.plane, minlength=readings.planes).all():
         near = readings
 
-    def grown(starts: list[PartialStart]) -> list[tuple[str, Parameters]]:
-        return [(METHOD, grow(start, near)) for start in starts]
-
-    known = [(METHOD, other) for other in others]
     directions = 400  # that each sweep tries; it keeps so many of them as the next number says
-    few = grown(subset_starts(near, 12, directions, rng))
-    yield Round([*known, *few], parts[0], AGREEING)
+    few = subset_starts(near, 12, directions, rng)
+    yield Round.of(METHOD, [*others, *few], parts[0], AGREEING)
     for number in range(4):
-        drawn = grown(subset_starts(near, 32, directions, rng))
-        yield Round(drawn, parts[number % len(parts)], AGREEING)
+        drawn = subset_starts(near, 32, directions, rng)
+        yield Round.of(METHOD, drawn, parts[number % len(parts)], AGREEING)
     # Sweeps on subsets have not brought about agreement: two alike will do.
-    swept = grown(direction_starts(near, 32, directions))
+    swept = direction_starts(near, 32, directions)
     for part in parts:
-        yield Round([*known, *swept], part, 2)
+        yield Round.of(METHOD, [*others, *swept], part, 2)
     for _ in range(3):
-        drawn = grown(random_starts(near, 48, rng))
+        drawn = random_starts(near, 48, rng)
         for part in parts:
-            yield Round(drawn, part, 2)
+            yield Round.of(METHOD, drawn, part, 2)
 
 
 def refined_starts(latest: Round, readings: Readings, terms: int, least: float) -> list[Candidate]:

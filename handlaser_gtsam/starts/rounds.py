@@ -40,6 +40,13 @@ class Round(NamedTuple):
     good: float = 1.0
     agreeing: int = 0
 
+    @classmethod
+    def of(
+        cls, method: str, starts: Iterable[Parameters], good: float = 1.0, agreeing: int = 0
+    ) -> "Round":
+        """Return a round of starts that were found alike."""
+        return cls([(method, start) for start in starts], good, agreeing)
+
 
 def search(
     rounds: Iterable[Round],

@@ -26,9 +26,10 @@ import numpy as np
 
 from .. import model
 from ..arrays import FloatArray, IntArray
+from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..quantities import ROUNDING, SINGULAR
-from .growing import PartialStart
+from .growing import PartialStart, grow
 
 SPANNING = 1e-4
 """Least ratio of squared spreads at which translations, or normals seen from the hand, span space."""
@@ -46,16 +47,17 @@ class _Series(NamedTuple):
     moments: FloatArray
 
 
-def translation_start(readings: Readings) -> PartialStart | None:
-    """Return what pure translations determine, or None where no plane or no beam is."""
+def translation_start(readings: Readings) -> Parameters | None:
+    """Return what grows from pure translations, or None where they determine no plane or no beam."""
     start = _normals_and_directions(readings)
-    if start is not None:
-        start.range_errors[:, 0] = 0.0
-        _solve_locations(start, readings)
-    return start
+    if start is None:
+        return None
+    start.range_errors[:, 0] = 0.0
+    _solve_locations(start, readings)
+    return grow(start, readings)
 
 
-def translation_start_with_range_errors(readings: Readings) -> PartialStart | None:
+def translation_start_with_range_errors(readings: Readings) -> Parameters | None:
     """Return the same with the range errors of every beam, or None where they are not determined."""
     series = _series(readings)
     kappa = None if series is None else _kappas(series, readings)
@@ -64,10 +66,11 @@ def translation_start_with_range_errors(readings: Readings) -> PartialStart | No
     d = readings.distance
     corrected = replace(readings, distance=d * (1.0 + kappa[readings.beam] * d))
     start = _normals_and_directions(corrected)
-    if start is not None:
-        _solve_locations(start, corrected)
-        start.range_errors[:, 1] = kappa * (1.0 + start.range_errors[:, 0])
-    return start
+    if start is None:
+        return None
+    _solve_locations(start, corrected)
+    start.range_errors[:, 1] = kappa * (1.0 + start.range_errors[:, 0])
+    return grow(start, readings)
 
 
 def _normals_and_directions(readings: Readings) -> PartialStart | None:

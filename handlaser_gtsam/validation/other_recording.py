@@ -49,7 +49,7 @@ from ..results.mounts import Mounts
 from ..results.rereading import Change
 from ..results.shared_errors import stops_of
 from ..solvers.beam_problem import linearized, moved
-from ..starts.growing import PartialStart, grow
+from ..starts.growing import grown_from
 
 if TYPE_CHECKING:
     from ..results.mounts import PlacedMount
@@ -502,7 +502,7 @@ def fit_planes(
 ) -> tuple[Parameters, Whitening]:
     """Return the planes that fit `readings` best for fixed beams (r, v, k), and the whitening there."""
     r, v, k = beams
-    at = grow(PartialStart.of(readings, r=r, v=v, k=k), readings)
+    at = grown_from(readings, r=r, v=v, k=k)
     unit = PLANE.natural_units(readings.typical_range())
     still = np.zeros((readings.beams, BEAM.dim))
     for _ in range(MOST_ROUNDS):  # the closed-form planes converge quadratically

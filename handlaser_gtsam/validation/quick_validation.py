@@ -14,7 +14,7 @@ import numpy as np
 from ..arrays import BoolArray, evenly
 from ..checks import require_kind
 from ..data.noise import Noise
-from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.parameters import Parameters
 from ..data.readings import Readings
 from ..data.recording import Recording
 from ..errors import SolverError
