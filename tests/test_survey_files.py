@@ -806,7 +806,7 @@ def test_how_files_were_read_stands_wherever_the_result_does(folder, handlaser):
 OUTPUTS = {
     "calibrate": ("--out", "--report"),
     "plan": ("--out",),
-    "convert": ("--out",),
+    "convert": ("--out", "--write-log"),
 }
 
 

@@ -138,13 +138,14 @@ def working() -> Iterator[None]:
         if wait < QUIET_S:
             print(CLEAR, end="", file=sys.stderr, flush=True)
 
+    on_terminal = sys.stderr is not None and sys.stderr.isatty()
     shown = threading.Thread(target=show, daemon=True)
+    if on_terminal:
+        shown.start()
     try:
         with told_to(listen):
-            if sys.stderr is not None and sys.stderr.isatty():
-                shown.start()
             yield
     finally:
         over.set()
-        if shown.ident is not None:
+        if on_terminal:
             shown.join()

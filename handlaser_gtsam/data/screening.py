@@ -47,8 +47,8 @@ from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, ROWS_AT_ONCE
 from .recording import Recording, typical_range
 
 BY_CHANCE = 3
-"""Fewer coincidences, of columns at a station or of a number in a table, may be chance: among numbers
-near it, fewer than this multiple of any other."""
+"""Fewer coincidences may be chance: of columns at a station, of a number in a table (among numbers near
+it, fewer than this multiple of any other), of rejected readings of one beam or plane."""
 ENOUGH_STATIONS = 8
 """With this many common stations, agreement within rounding or a part of the noise is no chance."""
 PART_OF_SPREAD = 5e-3

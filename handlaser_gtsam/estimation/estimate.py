@@ -302,10 +302,10 @@ def kept_blocks(problem: BlockProblem, found: Estimate) -> list[Block]:
 def minimum(
     problem: BlockProblem, start: Values, most: int | None = None
 ) -> dict[str, FloatArray] | None:
-    """Return the values (1, n, size) at the best minimum from a start; None where there is none.
+    """Return the values (1, n, size) at the best minimum from K starts; None where there is none.
 
-    Where the `most` iterations are given, it ends after these, at rest or not: along what is
-    undetermined a search may wander without end, while chi2 has settled long before.
+    With `most`, a search counts that has not come to rest after this number of iterations: along what
+    is undetermined it may wander without end, while chi2 has settled long before.
     """
     options = LevenbergOptions(least_damping=SINGULAR)
     options = options if most is None else replace(options, max_iterations=most)

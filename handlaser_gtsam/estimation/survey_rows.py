@@ -391,7 +391,7 @@ def _condensed(shots: Shots, parts: Sequence[tuple[int, str, IntArray]]) -> list
         tables = [(shots.across[parts[i][2]], shots.reading[parts[i][2]]) for i in seen]
         none = np.zeros(len(RAY_ERRORS))
         some = condensed_shots(KINDS[shots.kind], target, tables, stated_of(shots, none))
-        if len(KINDS[shots.kind].axes) == 2:
+        if KINDS[shots.kind].flat:
             some = with_own_noise(some)
         for i, shot in zip(seen, some, strict=True):
             found[i] = shot

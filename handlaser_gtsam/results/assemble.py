@@ -451,12 +451,11 @@ def _determined_by(
 ) -> tuple[Determined, Parameters | None, FloatArray]:
     """Return what the readings that were used, each plane in its own frame, determine.
 
-    The second result is the mirror image in the
-    plane of the motion, where that fits as well. The third is the axis (3,) of the turns, hand frame,
-    where elevations along it are undetermined whatever the rank is at the solution: level beams, and
-    what a free k1 compensates, show theirs to second order only. Of a hand that never turns it is ones,
-    where whole directions are: they have images in the plane of the moves, or of two normals. It is
-    zero elsewhere.
+    The second result is the mirror image in the plane of the motion, where that fits as well. The third
+    is the axis (3,) of the turns, hand frame, where elevations along it are undetermined whatever the
+    rank is at the solution: level beams, and what a free k1 compensates, show theirs to second order
+    only. Of a hand that never turns it is ones, where whole directions are: they have images in the
+    plane of the moves, or of two normals. It is zero elsewhere.
     """
     names, found, parameters = problem.names, solution.observability, solution.parameters
     parts = open_parts(found, parameters, names)

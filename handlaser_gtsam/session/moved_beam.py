@@ -53,7 +53,8 @@ def search(
     count = len(planes)
     epochs = np.arange(1, count)  # numbers of planes before the move
     if recently:
-        epochs = count - 2 ** np.arange(max(count - 1, 0).bit_length())
+        ago = 2 ** np.arange(count.bit_length())
+        epochs = count - ago[ago < count]
     if not epochs.size:
         return None
     totals = list(accumulate(plane.information[0] for plane in planes.values()))

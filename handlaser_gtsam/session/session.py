@@ -260,8 +260,8 @@ class Session:
             None if pose is None else pose[0],
             config.sigma_dof,
         )
-        moved = now.contents.names
-        return mounts.arranged(tuple(name for name in config.names if name not in moved))
+        former = now.contents.names
+        return mounts.arranged(tuple(name for name in config.names if name not in former))
 
     def calibration(self) -> Calibration:
         """Return the batch solution from the present estimate, with all that a calibration states.

@@ -68,8 +68,11 @@ def _beam_row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
         coordinates(beam.coordinates[at] * scale, sigma[at], digits_of(sigma[at] * scale, most))
         for at, _, scale, most in (PARTS["location"], PARTS["direction"])
     )
-    k = zip(beam.range_error.tolist(), sigma[6:].tolist(), (4, 3), strict=True)
-    errors = [_concise(*of) for of in k][: beam.terms] + [Cell("0", 0.0)] * (2 - beam.terms)
+    k, known = beam.range_error.tolist(), sigma[6:].tolist()
+    errors = [
+        _concise(k[term], known[term], most) if term < beam.terms else Cell("0", 0.0)
+        for term, most in enumerate((4, 3))
+    ]
     return (
         name_cell(beam.name),
         *location,
