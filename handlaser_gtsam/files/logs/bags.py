@@ -174,8 +174,8 @@ class BeamTopics:
         if not self.cones:
             return readings
         widest = max(self.cones.values()) * IN_DEG
-        words = {"widest": f"{widest:.3g}", "half": f"{widest / 2.0:.3g}"}
-        words["topics"] = some(list(self.cones), 8)
+        topics = some(list(self.cones), 8)
+        words = {"topics": topics, "widest": f"{widest:.3g}", "half": f"{widest / 2.0:.3g}"}
         warning = warned(f"{NO_HALF_ANGLE}:messages", {"beams": len(self.cones)}, **words)
         return readings._replace(warnings=(warning,))
 
