@@ -164,20 +164,22 @@ def odd_readings(
     names : sequence of str
         Labels of the stations.
     """
+
+    def words(odd: set[int]) -> dict[str, str]:
+        shown = some([names[i] for i in sorted(odd)], 5)
+        return {"names": shown, "count": count(len(odd), "station")}
+
+    found = []
     pairs = _unlike_pairs(d, station, sigma)
-    found = [("gross-readings:two", 2 * len(pairs), pairs)]
+    if pairs:
+        values = {"readings": 2 * len(pairs), "stations": len(pairs)}
+        found.append(warned("gross-readings:two", values, **words(pairs)))
     if how == "mean":
-        found.append(("gross-readings", *_gross_readings(d, station)))
-    return tuple(
-        warned(
-            message,
-            {"readings": readings, "stations": len(odd)},
-            names=some([names[i] for i in sorted(odd)], 5),
-            count=count(len(odd), "station"),
-        )
-        for message, readings, odd in found
-        if odd
-    )
+        gross, shifted = _gross_readings(d, station)
+        if shifted:
+            values = {"readings": gross, "stations": len(shifted)}
+            found.append(warned("gross-readings", values, **words(shifted)))
+    return tuple(found)
 
 
 def _gross_readings(d: FloatArray, station: IntArray) -> tuple[int, set[int]]:
