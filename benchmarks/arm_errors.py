@@ -1,6 +1,6 @@
 """Whether standard deviations are right on an arm whose joints, links and gears err: Monte Carlo.
 
-    python -m benchmarks.arm_errors [--runs 40] [--jobs 2]
+    python -m benchmarks.arm_errors [--runs 40] [--jobs 2] [--again]
 
 Two beams, a profiler or a depth camera on an arm go through a programme before each of four plates,
 the same or another one each time. Lengths and twists of its links, zeros of its joints and the
@@ -9,7 +9,10 @@ pose. Beside that only readings err. The constant part of the errors of the hand
 because no reading shows it. Each line has the mean square of the errors of a mount in standard
 deviations (1 is right), the median of the recordings, how many of them have a location beyond three and
 five standard deviations (and are plainly usable all the same), and how many are usable, usable with
-care, and neither. Nothing of the simulation is shared with the package.
+care, and neither. With --again, how often something true is contradicted: that nothing has moved, by
+another recording of the same arm and sensor with programmes and plates of its own (and the mean
+statistic a degree of freedom), and, in surveys, two angles between plates that are stated to 0.002
+degrees. Nothing of the simulation is shared with the package.
 """
 
 import argparse
@@ -25,7 +28,7 @@ from benchmarks.robot_arm import DH_A, DH_ALPHA, DH_D, POSTURE
 from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.data.station_list import StationList
-from handlaser_gtsam.data.survey import Kind, Shots, Survey
+from handlaser_gtsam.data.survey import Kind, Known, Shots, Survey
 
 LENGTH, ANGLE, GEAR = 2e-4, 2e-4, 1e-4
 """What links [m], twists and zeros [rad], and each of two harmonics of a gear [rad] err by."""
@@ -40,6 +43,8 @@ DISTANCE, STEEP = 0.55, 0.5
 SIGMA = {"beams": 5e-5, "profiler": 5e-5, "camera": 2e-4}
 """Of a reading [m]."""
 KIND: dict[str, Kind] = {"profiler": "profiler", "camera": "points"}
+ANGLE_SIGMA = np.radians(0.002)
+"""Of angles between plates that are stated."""
 ACROSS = np.linspace(-0.04, 0.04, 50)
 """Of the points of a profile [m]."""
 VIEW = np.linspace(-0.3, 0.3, 10)
@@ -93,18 +98,20 @@ def _hands(q: FloatArray, a: FloatArray, d: FloatArray, alpha: FloatArray) -> Fl
 
 
 class Scene:
-    """A sensor on an arm before four plates, and what it reads."""
+    """A sensor on an arm before four plates, and what it reads; `again` with other plates."""
 
-    def __init__(self, case: Case, seed: int) -> None:
+    def __init__(self, case: Case, seed: int, *, again: bool = False) -> None:
         rng = np.random.default_rng(seed)
         arm, self.case = Arm(rng, case.scale), case
         count = 2 if case.sensor == "beams" else 1
         self.r = rng.uniform(-0.05, 0.05, (count, 3))
         self.R = Rotation.from_rotvec(rng.normal(0.0, 0.15, (count, 3)))
+        if again:
+            rng = np.random.default_rng((seed, 1))
         middle = arm.hands(POSTURE[None])[0][0]
         ahead = Rotation.from_matrix(middle[:3, :3])
         tilts = TILTS + rng.uniform(-0.1, 0.1, (4, 3))
-        normals = (ahead * Rotation.from_rotvec(tilts)).apply([0.0, 0.0, 1.0])
+        normals = self.normals = (ahead * Rotation.from_rotvec(tilts)).apply([0.0, 0.0, 1.0])
         offsets = normals @ middle[:3, 3] + DISTANCE
         joints: list[FloatArray] = []
         while len(joints) < (1 if case.is_same else 4) * STOPS:
@@ -162,7 +169,15 @@ class Scene:
         """What is stated: how large the errors of the hand are, less what is constant."""
         if not self.case.is_stated:
             return hl.Noise()
-        return hl.Noise(pose_translation_sigma=self.shift, pose_rotation_sigma=self.turn)
+        sigma = SIGMA["beams"] if self.case.sensor == "beams" else None
+        return hl.Noise(sigma, pose_translation_sigma=self.shift, pose_rotation_sigma=self.turn)
+
+    def recording(self) -> hl.Recording:
+        """Return what two beams read."""
+        R, t = self.believed[:, :3, :3], self.believed[:, :3, 3]
+        labels = tuple(f"p{plate}" for plate in self.plate)
+        ranges = np.hstack(self.readings)
+        return hl.Recording(R, t, ranges, plane_labels=labels, beam_names=("a", "b"))
 
     def survey(self) -> Survey:
         """Return what a sensor of many rays saw."""
@@ -176,14 +191,9 @@ class Scene:
 
     def squares(self) -> tuple[float, float, str]:
         """Return the mean square error of the mounts, the largest error of r, and the verdict."""
-        R, t = self.believed[:, :3, :3], self.believed[:, :3, 3]
         turns, r = self.truth
         if self.case.sensor == "beams":
-            ranges = np.hstack(self.readings)
-            labels = tuple(f"p{plate}" for plate in self.plate)
-            recording = hl.Recording(R, t, ranges, plane_labels=labels, beam_names=("a", "b"))
-            noise = replace(self.noise, range_sigma=SIGMA["beams"] if self.case.is_stated else None)
-            found = hl.calibrate(recording, noise)
+            found = hl.calibrate(self.recording(), self.noise)
             assert found.covariance is not None, "everything is determined"
             squares, far = [], []
             v = turns.apply([0.0, 0.0, 1.0])
@@ -209,6 +219,41 @@ def run_once(case: Case, seed: int) -> tuple[float, float, str]:
     return Scene(case, seed).squares()
 
 
+def contradicted_once(case: Case, seed: int) -> tuple[float, bool, bool]:
+    """Return how far another recording is off, and whether that, and true angles, contradict.
+
+    The first in units of what chance allows a degree of freedom.
+    """
+    scene, other = Scene(case, seed), Scene(case, seed, again=True)
+    if case.sensor == "beams":
+        calibration = hl.calibrate(scene.recording(), scene.noise)
+        held = hl.hold_out(calibration, other.recording(), other.noise)
+        return held.drift / held.drift_dof, not held.holds, False
+    n = scene.normals
+    known = tuple(
+        Known("angle", (f"plane:p{i}", f"plane:p{i + 1}"), angle, sigma_angle=ANGLE_SIGMA)
+        for i, angle in ((i, float(np.arccos(n[i] @ n[i + 1]))) for i in (0, 2))
+    )
+    found = hl.calibrate(scene.survey(), scene.noise)
+    moved = hl.hold_out(found, other.survey(), other.noise)
+    related = hl.calibrate(replace(scene.survey(), known=known), scene.noise)
+    mount = moved.mounts[0]
+    false = any(test.contradicted for test in related.relations)
+    return mount.statistic / mount.dof, not moved.holds, false
+
+
+def study_again(runs: int, studies: Studies) -> None:
+    """Print a line for every case: whether what is true is contradicted."""
+    for case in (Case(*of) for of in product(SIGMA, (False, True), (True, False))):
+        found = studies.each(case.name, partial(contradicted_once, case), range(100, 100 + runs))
+        statistic, moved, false = (np.array(one, dtype=float) for one in zip(*found, strict=True))
+        angles = "" if case.sensor == "beams" else f", angles contradicted in {false.sum():.0f}"
+        studies.show(
+            f"{case.name:60} of {runs} moved {moved.sum():.0f}, "
+            f"{statistic.mean():.2f} a degree of freedom{angles}"
+        )
+
+
 def study(runs: int, studies: Studies) -> None:
     """Print a line for every case."""
     cases = [Case(*of) for of in product(SIGMA, (False, True), (True, False))]
@@ -230,10 +275,11 @@ def main() -> None:
     """Print a line a case as soon as it is done."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=40)
+    parser.add_argument("--again", action="store_true", help="is what is true contradicted?")
     add_options(parser)
     arguments = parser.parse_args()
     with Studies.of(arguments) as studies:
-        study(arguments.runs, studies)
+        (study_again if arguments.again else study)(arguments.runs, studies)
 
 
 if __name__ == "__main__":
