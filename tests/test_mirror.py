@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.observability import other_solutions as mirror
@@ -37,6 +38,31 @@ def solved(seed):
 def image_of(solution, readings):
     """Return beams and planes reflected through the mean hand position of each plane."""
     return mirror.reflected(solution, readings, np.eye(3), np.eye(3))
+
+
+@pytest.mark.parametrize("kind", ["turns about the hand", "motion in a plane"])
+def test_an_image_reads_what_its_beams_and_planes_read(kind):
+    """Through the place of a hand that only turns; in the plane in which it moves."""
+    rng = np.random.default_rng(3)
+    truth, stations = arm(Layout(2, 3, 9), rng)
+    R, t = stations.world_R_hand, stations.world_t_hand
+    if kind == "turns about the hand":
+        hand = world = np.eye(3)
+        t = t[:1] + np.zeros_like(t)
+    else:
+        hand = world = np.diag([0.0, 0.0, 1.0])
+        turns = np.zeros((len(t), 3))
+        turns[:, 2] = rng.uniform(-0.3, 0.3, len(t))
+        R, t = Rotation.from_rotvec(turns).as_matrix(), t * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.4]
+    n = truth.directions.mean(axis=0) + 0.2 * rng.normal(size=(3, 3))
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    truth = replace(truth, normals=n, offsets=-(n * t.mean(axis=0)).sum(axis=1) - 0.3)
+    stations = replace(stations, world_R_hand=R, world_t_hand=t)
+    readings = simulate(truth, stations, Errors(0.0), rng).readings()
+    image = mirror.reflected(truth, readings, hand, world)
+    assert np.abs(image.directions - truth.directions).max() > 0.1
+    for at in (truth, image):  # readings are of some decimetres
+        assert mirror.squares_of(at, readings, None) < 1e-26 * len(readings)
 
 
 def searched(solution, squares, readings, sigma):

@@ -174,7 +174,8 @@ def _solved(
         from .incremental import plane_by_plane, target_by_target
 
         if isinstance(read, Survey):
-            return target_by_target(read, rig.noise)
+            result, taught, comparison = target_by_target(read, rig.noise)
+            return result, None, taught, comparison
         return plane_by_plane(read.recording, rig.noise, options)
     if isinstance(read, Survey):
         return run(read, rig.noise), None, None, None

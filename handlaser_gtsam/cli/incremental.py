@@ -83,16 +83,13 @@ def plane_by_plane(
     return result, recording, _table(rows), comparison
 
 
-def target_by_target(
-    survey: Survey, noise: Noise
-) -> tuple[SurveyCalibration, None, Table, Comparison]:
+def target_by_target(survey: Survey, noise: Noise) -> tuple[SurveyCalibration, Table, Comparison]:
     """Feed a survey to a session target by target, then calibrate all of it at once.
 
     Returns
     -------
     calibration : SurveyCalibration
         Of all stations at once.
-    recording : None
     taught : Table
         What every target taught of the mounts, and how their standard deviations fell.
     comparison : Comparison
@@ -118,7 +115,7 @@ def target_by_target(
     tell("planes", len(names), len(names), "all at once")
     result, last = calibrate(survey, noise), session.calibration
     if last is None or not last.status == result.status == "converged":
-        return result, None, _table(rows, "target"), Comparison(np.nan, np.nan)
+        return result, _table(rows, "target"), Comparison(np.nan, np.nan)
     sigmas = np.array([one.sigma for one in result.mounts])
     rows.append(_row("result", None, sigmas, len(result.rejected), ""))
     off = []
@@ -134,7 +131,7 @@ def target_by_target(
     own = {one.subject: one.sigma for one in last.mounts}
     ratios = np.array([own[one.subject] for one in result.mounts]) / sigmas
     largest = float(np.abs(off).max()), float(np.abs(ratios - 1.0).max())
-    return result, None, _table(rows, "target"), Comparison(*largest)
+    return result, _table(rows, "target"), Comparison(*largest)
 
 
 def _table(rows: Sequence[tuple[Cell, ...]], what: str = "plane") -> Table:

@@ -834,7 +834,8 @@ def _tested(state: SurveyState) -> tuple[RelationTest, ...]:
     """Test each relation against the readings and all relations that are not contradicted."""
     if not state.relations:
         return ()
-    (rows, group), relations = state.dense(), state.relations
+    rows, group = state.dense()
+    relations = state.relations
     group[:] = -1
     # A body has a relation a face.
     different = list({id(known): known for known, _ in relations}.values())

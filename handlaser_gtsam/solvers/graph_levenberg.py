@@ -171,11 +171,16 @@ def levenberg_marquardt(
         return Point(values, cost + others.error(values), residuals, linear)
 
     rows = len(problem.readings)
-    # Rounding errors come from positions and readings.
-    rounding = rows * (4.0 * np.finfo(float).eps * shared.reach() / sigma) ** 2
-    free = rows + problem.prior_rows - problem.values.dim()
-    start, options = evaluate(gtsam.Values(problem.values)), options or LevenbergOptions()
-    return _minimised(evaluate, start, problem.ordering, rounding, free, options, progress)
+    return _minimised(
+        evaluate,
+        problem.values,
+        problem.ordering,
+        # Rounding errors come from positions and readings.
+        rounding=rows * (4.0 * np.finfo(float).eps * shared.reach() / sigma) ** 2,
+        dof=rows + problem.prior_rows - problem.values.dim(),
+        options=options or LevenbergOptions(),
+        progress=progress,
+    )
 
 
 def optimize(
@@ -226,12 +231,17 @@ def optimize(
         return Point(values, cost, lambda: none, linear)
 
     rows = sum(graph.at(i).dim() for i in range(graph.size()) if graph.exists(i))
-    # A change of `ROUNDING` standard deviations of every residual counts as rounding.
-    rounding, free = rows * ROUNDING**2, rows - values.dim()
     try:
-        ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
-        start = evaluate(gtsam.Values(values))
-        return _minimised(evaluate, start, ordering, rounding, free, options, progress)
+        return _minimised(
+            evaluate,
+            values,
+            gtsam.Ordering.ColamdNonlinearFactorGraph(graph),
+            # A change of `ROUNDING` standard deviations of every residual counts as rounding.
+            rounding=rows * ROUNDING**2,
+            dof=rows - values.dim(),
+            options=options,
+            progress=progress,
+        )
     except RuntimeError as error:
         if "Attempting to retrieve" not in str(error):
             raise
@@ -263,19 +273,20 @@ def linearize(problem: CalibrationGraph, values: gtsam.Values) -> gtsam.Gaussian
 
 def _minimised(
     evaluate: Callable[[gtsam.Values], Point],
-    point: Point,
+    start: gtsam.Values,
     ordering: gtsam.Ordering,
+    *,
     rounding: float,
-    free: int,
+    dof: int,
     options: LevenbergOptions,
     progress: Callable[[Trial], None] | None,
 ) -> LevenbergResult:
-    """Take steps from a point to the end; Ctrl-C ends it with the best values so far.
+    """Take steps from a start to the end; Ctrl-C ends it with the best values so far.
 
-    `rounding` is what rounding of the residuals adds to the cost [squared standard deviations], and
-    `free` the degrees of freedom.
+    `rounding` is what rounding of the residuals adds to the cost [squared standard deviations].
     """
-    stopping = StoppingRule(options.step_tolerance, options.least_damping, rounding, max(free, 1))
+    point = evaluate(gtsam.Values(start))
+    stopping = StoppingRule(options.step_tolerance, options.least_damping, rounding, max(dof, 1))
     history: list[Trial] = []
     accepted, damping = 0, np.array(options.least_damping)
     status: Status = "max_iterations"
