@@ -229,6 +229,19 @@ def test_errors_of_single_stations_are_not_accused(given):
             assert found.errors_by_pose.growth == 1.0
 
 
+@pytest.mark.parametrize("sensor", ["beams", "profiler"])
+def test_errors_that_are_stated_too_large_are_what_to_improve(sensor):
+    """On an arm that errs as stated it is the arm."""
+    for scale, words in ((0.0, "smaller stated errors of the hand"), (1.0, "a better robot")):
+        scene = Scene(Case(sensor, False, True, scale), 100)
+        recorded = scene.recording() if sensor == "beams" else scene.survey()
+        stated = hl.Noise(pose_translation_sigma=3e-4, pose_rotation_sigma=3e-4)
+        best = hl.calibrate(recorded, stated).verdict.best
+        assert (best.code, best.words[: len(words)]) == ("poses", words)
+        assert best.number > 0.5
+        assert "% of the variance" in best.words
+
+
 def test_an_error_that_explains_all_is_named_itself():
     """A robot that turns more than it records errs smoothly with the pose, too."""
     scene = replace(Cell(4), motion=0.3, code="turn-scale", size=5e-3)

@@ -83,6 +83,15 @@ class SizesByPose(NamedTuple):
         """Whether they make most of a standard deviation, though little states or shows them."""
         return self.learned and not self.is_seen and self.growth > GUESSED
 
+    @property
+    def doubt_the_stated(self) -> bool:
+        """Whether residuals are smaller than stated errors of the hand, and no other errors seen.
+
+        Those that change with the pose then count for the difference, though smaller ones that do not
+        are more likely.
+        """
+        return not self.learned and self.excess < 0.0 and self.growth > 1.0
+
     def beside(self, growth: float) -> "SizesByPose":
         """Return the same where standard deviations without them are larger by a factor."""
         return self._replace(growth=float(np.sqrt(1.0 + (self.growth**2 - 1.0) / growth**2)))

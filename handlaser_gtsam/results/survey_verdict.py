@@ -15,7 +15,6 @@ import numpy as np
 
 from ..errors import CalibrationWarning
 from ..estimation.estimate import covariance_along, information_axes
-from ..quantities import IN_PERCENT
 from ..text import some
 from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
@@ -24,6 +23,7 @@ from .shared_errors import BY_POSE
 from .survey_misfit import FALSE_RELATION, MISREAD, NO_FIT
 from .survey_motion import MORE_STATIONS
 from .verdict import (
+    DECIDES,
     Improvement,
     Verdict,
     better_sigmas,
@@ -34,6 +34,7 @@ from .verdict import (
     far_moved_beam_of,
     improvement_of,
     more_stations,
+    of_share,
 )
 from .warnings import DISPLACED, RIVAL, ambiguous
 
@@ -179,8 +180,8 @@ def _improvement(
     if FEW in warnings:
         return improvement_of("more-stations:few", dof=f"{warnings[FEW].values['spare']:.1f}")
     share = _pose_share(result)
-    if share > 0.5:  # a cause of more than half of the variance is worth the first word
-        return improvement_of("poses", share, percent=IN_PERCENT * min(share, 0.99))
+    if share > DECIDES:
+        return of_share("poses", share, result.errors_by_pose)
     return more_stations(failed)
 
 

@@ -22,6 +22,7 @@ from typing import Literal
 import numpy as np
 
 from ..errors import CalibrationWarning
+from ..estimation.errors_by_pose import SizesByPose
 from ..model.distributions import FEW_DEGREES
 from ..model.effects import EFFECTS, may_also_be
 from ..quantities import IN_MM, IN_PERCENT, MANY_OUTLIERS
@@ -50,6 +51,9 @@ IMPOSSIBLE = ("column-twice", "far-beam")
 """Codes of warnings of mounts that no sensors have: two in one place, or one beyond any hand."""
 WELL_CONDITIONED = 100.0
 """A condition number below this is the usual demand: no motion is missing then."""
+
+DECIDES = 0.5
+"""A cause of more than this part of the variance is worth the first word."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,9 +145,8 @@ def improvement(
         causes = {"poses": shares.poses, "range-span": shares.range_error}
         causes[f"motion:{shares.weakest_quantity}"] = weakest
         worst = max(causes, key=lambda one: np.nan_to_num(causes[one], nan=-1.0))
-        if causes[worst] > 0.5:  # a cause of more than half of the variance is worth the first word
-            percent = IN_PERCENT * min(causes[worst], 0.99)
-            return improvement_of(worst, causes[worst], percent=percent)
+        if causes[worst] > DECIDES:
+            return of_share(worst, causes[worst], calibration.errors_by_pose)
     if few and not failed:
         return improvement_of("more-stations:few", dof=fit.dof)
     return more_stations(failed)
@@ -198,6 +201,14 @@ def better_sigmas(times: float) -> Improvement:
     if math.isinf(times):
         return improvement_of("sigmas:zero")
     return improvement_of("sigmas", times)
+
+
+def of_share(code: str, share: float, by_pose: SizesByPose | None) -> Improvement:
+    """Return what lowers a share of the variance; of errors of the hand, what readings say of them."""
+    percent = IN_PERCENT * min(share, 0.99)
+    if code == "poses" and by_pose is not None and by_pose.doubt_the_stated:
+        return improvement_of("poses:stated", share, percent=percent, growth=by_pose.growth)
+    return improvement_of(code, share, percent=percent)
 
 
 @dataclass(frozen=True, slots=True)
