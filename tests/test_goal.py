@@ -107,6 +107,20 @@ def test_a_forecast_is_that_of_dense_inverses():
         assert found.spot[count] == pytest.approx(max(spots), rel=1e-9)
 
 
+def test_errors_that_change_with_the_pose_do_not_average_away():
+    """A thousand times the same station: noise falls to nothing, and what they have in common stays."""
+    (A, F), weak = (ROWS[0], drawn(2, 3, seed=9)), 1e-6 * np.eye(UNKNOWNS)
+    P = np.linalg.inv(weak + A.T @ A)
+    first = Aim(P, mounts(), Goal(), 0.2, A.T @ F)  # of one such station before
+    found = first.forecast(np.tile(np.hstack((A, F)), (1000, 1, 1)))
+    for count in (0, 1000):
+        P = np.linalg.inv(weak + (count + 1) * A.T @ A)
+        moved = P @ ((count + 1) * A.T @ F)
+        C = P + moved @ moved.T
+        location = max(np.diagonal(m.location @ C @ m.location.T).max() for m in mounts())
+        assert found.location_sigma[count] == pytest.approx(math.sqrt(location), rel=1e-6)
+
+
 FORECAST = Forecast(
     np.array([4.0, 3.0, 2.0, 1.0]),
     np.array([8.0, 2.0, 2.0, 2.0]),

@@ -205,6 +205,33 @@ def test_each_further_station_is_the_best_beside_those_before():
         assert int(np.argmin(every)) == 0
 
 
+@pytest.mark.parametrize("criterion", ["A", "D", "E"])
+def test_errors_that_change_with_the_pose_count_in_the_choice(criterion):
+    """By what an estimate that knows nothing of them is off, from dense inverses."""
+    for seed in range(10):
+        rows, C, weight = tiny(seed, candidates=9, unknowns=6)
+        A, F = rows[0, ..., :4], rows[0, ..., 4:]
+        C, weight, G = C[:4, :4], weight[:, :4], np.ones((4, 2))
+
+        def left(of, A=A, F=F, C=C, weight=weight, G=G):
+            A, F = (np.concatenate(x[list(of)]) for x in (A, F))
+            P = np.linalg.inv(np.linalg.inv(C) + A.T @ A)
+            K = np.hstack((P @ A.T, P @ (G + A.T @ F)))
+            noise = K @ K.T + P @ np.linalg.inv(C) @ P
+            S = weight @ noise @ weight.T
+            return {"A": np.trace(S), "D": np.linalg.slogdet(S)[1], "E": np.linalg.eigvalsh(S)[-1]}[
+                criterion
+            ]
+
+        chosen = choose(rows, C, weight, 3, criterion, by_pose=G)
+        first = [left([one]) for one in chosen]
+        assert first[0] == pytest.approx(min(first))
+        swapped = [
+            left({*chosen, new} - {old}) for old in chosen for new in {*range(9)} - {*chosen}
+        ]
+        assert left(chosen) <= min(swapped) + 1e-3 * abs(min(swapped))
+
+
 def test_planned_stations_beat_random_ones(belief, pool):
     goal, rng = hl.planning.Goal(), np.random.default_rng(0)
     rows = station_rows(belief, pool)

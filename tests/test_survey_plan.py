@@ -14,11 +14,14 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
+from benchmarks.arm_errors import STOPS, Case, Scene
 from benchmarks.rigs import EXACT, survey_of
 from handlaser_gtsam import pipeline
 from handlaser_gtsam.files.recording_csv import write_stations
 from handlaser_gtsam.planning import plan as planning
+from handlaser_gtsam.planning.survey import _Known, _Look
 from handlaser_gtsam.planning.workspace import Workspace
+from handlaser_gtsam.validation.simulate import Stations
 
 needs_pinocchio = pytest.mark.skipif(not HAS_PINOCCHIO, reason="needs pinocchio")
 X = np.linspace(-0.03, 0.03, 200)
@@ -187,6 +190,32 @@ def test_rays_that_graze_a_ball_count_in_no_plan():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("sensor", ["profiler", "camera"])
+def test_what_is_promised_on_an_arm_that_errs_is_what_comes(sensor):
+    """Of the stations that follow; if errors of the arm averaged away, it would be a quarter less."""
+    scene = Scene(Case(sensor, False, True), 100)
+    whole = scene.survey()
+    before = np.arange(len(whole.stations)) % STOPS < STOPS // 2
+    first = hl.calibrate(whole.part(before), scene.noise)
+    known, rows = _Known(first, {("sensor", 0)}, hl.planning.Goal()), []
+    for plate in range(4):
+        look = _Look(first, [i for i in first._found.rows.items if i.target[1] == plate])
+        at = ~before & (scene.plate == plate)
+        poses = whole.stations.world_R_hand[at], whole.stations.world_t_hand[at]
+        seen, said = look.rows(Stations(*poses, np.full(len(poses[0]), plate)))
+        assert seen.all()
+        rows.append(said)
+    most = max(said.shape[1] for said in rows)
+    every = np.concatenate([np.pad(x, ((0, 0), (0, most - x.shape[1]), (0, 0))) for x in rows])
+    promised = known.forecast(every).spot
+    assert promised[0] == pytest.approx(first.sensors["s"].spot_error, rel=1e-3)
+    came = hl.calibrate(whole, scene.noise).sensors["s"].spot_error
+    assert promised[-1] == pytest.approx(came, rel=0.1)
+    independent = every.copy()
+    independent[..., len(known.covariance) :] = 0.0
+    assert known.forecast(independent).spot[-1] < 0.75 * came
+
+
 def test_a_plan_ends_where_its_goal_is_reached():
     _, first = found_from_six(0.5)
     whole = hl.plan(first, 6)

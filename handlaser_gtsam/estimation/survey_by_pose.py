@@ -9,6 +9,7 @@ from .dense import DenseRows, spanned
 from .errors_by_pose import (
     ErrorsByPose,
     Likelihood,
+    SizesByPose,
     by_metre_and_radian,
     poses_from_mean,
     sizes_by_pose,
@@ -51,6 +52,17 @@ def survey_errors_by_pose(
     errors = unit.of_sizes(*found, learned=bool(unknown))
     moved = spanned(rows.whitened()[0])[1] @ np.concatenate(list(errors.columns), axis=1)
     return errors, moved @ moved.T
+
+
+def of_other_stations(
+    sizes: SizesByPose, state: SurveyState, rows: DenseRows, R: FloatArray, t: FloatArray
+) -> ErrorsByPose:
+    """Return what errors of such sizes, learned at a state, do to rows of other stations R, t [m]."""
+    of = state.rows.survey.stations
+    every = np.concatenate((of.world_R_hand, R)), np.concatenate((of.world_t_hand, t))
+    pose = poses_from_mean(*every, _poses(state)[1])[len(of) :]
+    moved = rows.how.apply_rows(rows.by_pose) * np.repeat([sizes.turn, sizes.shift], 3)
+    return ErrorsByPose(pose[rows.station], moved, sizes)
 
 
 def _poses(state: SurveyState) -> tuple[FloatArray, IntArray]:

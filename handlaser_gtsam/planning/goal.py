@@ -14,7 +14,7 @@ from ..model.sensor_limits import Sensor
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from ..results.limits import Limits
 from ..results.spots import radius
-from .choice import CRITERIA, Criterion, choose, updated, updates
+from .choice import CRITERIA, Criterion, choose, updates
 
 DIRECTION_UNIT = math.radians(0.1)
 """[rad]"""
@@ -174,14 +174,24 @@ class Aim:
         The working distance [m]; NaN where each beam and sensor has its own.
     weight : (W, U)
         What is to become small; see `goal_rows`.
+    by_pose : (U, c)
+        What c errors of the hand that change with its pose add to that, none where not given: G of
+        `choice`. Rows of stations have their effect, of unit variance, in c columns at the end.
+
     """
 
     def __init__(
-        self, covariance: FloatArray, mounts: Sequence[PlannedMount], goal: Goal, distance: float
+        self,
+        covariance: FloatArray,
+        mounts: Sequence[PlannedMount],
+        goal: Goal,
+        distance: float,
+        by_pose: FloatArray | None = None,
     ) -> None:
         self.covariance, self.mounts = covariance, mounts
         self.goal, self.distance = goal, distance
         self.weight = goal_rows(goal, mounts)
+        self.by_pose = np.zeros((len(covariance), 0)) if by_pose is None else by_pose
 
     def chosen(
         self,
@@ -192,17 +202,28 @@ class Aim:
         exchange: bool = False,
         start: IntArray | None = None,
     ) -> IntArray:
-        """Choose among candidates given by rows (K, N, B, U) at the mean and at draws; see `choose`.
+        """Choose among candidates given by rows (K, N, B, U + c), at the mean and at draws.
 
-        `beside` are the rows (M, B, U) of stations that are chosen already.
+        See `choose`; `beside` are the rows (M, B, U + c) of stations that are chosen already.
         """
-        known, criterion = updated(self.covariance, beside), self.goal.criterion
-        return choose(rows, known, self.weight, count, criterion, exchange=exchange, start=start)
+        *_, (known, by_pose) = updates(self.covariance, self.by_pose, beside)
+        return choose(
+            rows,
+            known,
+            self.weight,
+            count,
+            self.goal.criterion,
+            by_pose=by_pose,
+            exchange=exchange,
+            start=start,
+        )
 
     def forecast(self, rows: FloatArray) -> Forecast:
-        """Return what will be known after each of some stations, given by whitened rows (M, B, U)."""
+        """Return what will be known after each of some stations, given by rows (M, B, U + c)."""
         sigmas = []
-        for C in updates(self.covariance, rows):
+        for P, G in updates(self.covariance, self.by_pose, rows):
+            moved = P @ G
+            C = P + moved @ moved.T
             location = max(np.diagonal(m.location @ C @ m.location.T).max() for m in self.mounts)
             turns = (m.turns @ C @ np.swapaxes(m.turns, 1, 2) for m in self.mounts)
             direction = max(np.linalg.eigvalsh(turn).max() for turn in turns)
@@ -214,7 +235,7 @@ class Aim:
     def enough(self, rows: FloatArray) -> int:
         """Return how many of some stations reach the goal, at least one; all where they do not.
 
-        All, too, where the goal states nothing. The stations are given by whitened rows (M, B, U).
+        All, too, where the goal states nothing. The stations are given by rows (M, B, U + c).
         """
         least = self.forecast(rows).reaches(self.goal) if self.goal.stated else None
         return len(rows) if least is None else max(least, 1)

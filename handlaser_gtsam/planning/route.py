@@ -177,8 +177,8 @@ def planned(
     aim : Aim
     candidates : Stations
         All of them, N.
-    rows : (N, B, U)
-        Their whitened rows.
+    rows : (N, B, U + c)
+        Their whitened rows; see `Aim`.
     chosen : (C,)
         Indices of candidates, in the order in which they matter.
     visit : callable

@@ -18,6 +18,7 @@ from ..arrays import BoolArray, FloatArray, evenly
 from ..errors import InputError
 from ..estimation.dense import dense_rows, with_pose_errors
 from ..estimation.estimate import information_axes, least_information
+from ..estimation.survey_by_pose import of_other_stations
 from ..estimation.survey_rows import (
     TARGETS,
     Entity,
@@ -171,14 +172,20 @@ class _Known(Aim):
         size, own = np.linalg.eigh(H * np.outer(scale, scale))
         root = own / np.sqrt(np.maximum(size, np.finfo(float).eps))
         spread = scale * unit * found.spread
-        covariance = (root @ root.T) * np.outer(spread, spread) + found.more
-        mounts = list(_mounts(calibration, planned))
-        super().__init__(covariance, mounts, replace(goal, criterion="spot"), np.nan)
+        covariance = (root @ root.T) * np.outer(spread, spread)
+        mounts, by_pose = list(_mounts(calibration, planned)), None
+        if found.by_pose is not None:
+            F = np.concatenate(list(found.by_pose.columns), axis=1)
+            J, _ = found.ended().dense()[0].whitened()
+            by_pose = J.T @ F / found.spread[:, None] ** 2
+        super().__init__(covariance, mounts, replace(goal, criterion="spot"), np.nan, by_pose)
 
     def forecast(self, rows: FloatArray) -> Forecast:
         """Return what will be known after each station; NaN where something is undetermined."""
         told, known = self._rows, [not self._open]
-        for station in rows:  # of unit weight and in natural units: do they determine all unknowns
+        for station in rows[
+            ..., : len(self._unit)
+        ]:  # of unit weight and in natural units: do they determine all unknowns
             told = np.vstack((told, station * self._unit))
             information = np.asarray(np.linalg.svd(told, compute_uv=False) ** 2, dtype=np.float64)
             known.append(known[-1] or bool(information.min() >= least_information(information)))
@@ -268,9 +275,10 @@ class _Look:
         return Stations(R, at - d * direction - R @ self.start, np.full(len(R), target))
 
     def rows(self, stations: Stations) -> tuple[BoolArray, FloatArray]:
-        """Return which stations (M,) see their target, and what these say (N, B, U), of unit weight.
+        """Return which stations (M,) see their target, and what these say: whitened rows (N, B, U + c).
 
-        At a station of a beam all beams that see the target say something.
+        At a station of a beam all beams that see the target say something. The last columns are of
+        errors of the hand that change with its pose; see `Aim`.
         """
         (family, number), mount, member = self.first.target, self.first.mount, self.first.member
         count, state = len(stations), self.found.ended()
@@ -320,15 +328,24 @@ class _Look:
         block = replace(block, sensor=sensor, reading=reading[None], weights=weights)
         hand = np.broadcast_to(state.pose_covariance()[:1], (count, 6, 6))  # of the first station
         of = self.found.rows.places()
-        J, _ = dense_rows(with_pose_errors([block], values, hand), values, of).whitened()
+        dense = dense_rows(with_pose_errors([block], values, hand), values, of)
+        J, _ = dense.whitened()
         J = J.reshape(count, -1, len(of.names))[seen]
         used = np.flatnonzero(J.any(axis=(0, 1)))
+        J = J[..., used]
         # As few rows along eigenvectors: rows of like size would lose digits to what is undetermined.
-        size, axes = np.linalg.eigh(np.swapaxes(J[..., used], 1, 2) @ J[..., used])
-        rows = np.zeros((len(J), len(used), J.shape[2]))
+        size, axes = np.linalg.eigh(np.swapaxes(J, 1, 2) @ J)
+        size, axes = np.sqrt(np.maximum(size, 0.0)), np.swapaxes(axes, 1, 2)
+        rows = np.zeros((len(J), len(used), len(of.names)))
+        rows[..., used] = size[..., None] * axes
+        if self.found.by_pose is not None and self.found.by_pose.sizes is not None:
+            at = stations.world_R_hand, stations.world_t_hand
+            by_pose = of_other_stations(self.found.by_pose.sizes, state, dense, *at)
+            F = np.concatenate(list(by_pose.columns), axis=1)
+            F = F.reshape(count, -1, F.shape[1])[seen]
+            unit = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)[..., None] * axes
+            rows = np.concatenate((rows, unit @ (np.swapaxes(J, 1, 2) @ F)), axis=2)
         # What a sensor says at further stations counts as little as what it has said.
         width = MOUNT_DIM if self.first.family == BEAM.name else POSE.dim
         place = of.place[mount[0]][member] + np.arange(width)
-        grown = np.sqrt(np.maximum(size, 0.0))[..., None] / self.found.spread[place].max()
-        rows[..., used] = grown * np.swapaxes(axes, 1, 2)
-        return seen, rows
+        return seen, rows / self.found.spread[place].max()
