@@ -25,8 +25,10 @@ from handlaser_gtsam.files.logs.survey_conventions import (
 )
 from handlaser_gtsam.model.conventions import numbers_of, poses_of
 from handlaser_gtsam.model.geometry import normalized
+from handlaser_gtsam.results.description.survey import facts
 from handlaser_gtsam.results.survey_check import check_lines, check_survey
 from handlaser_gtsam.results.survey_misfit import _looks_other, better_kinds, misread
+from handlaser_gtsam.results.survey_relations import said_by_readings
 from handlaser_gtsam.results.survey_warnings import rejected_of
 
 FAN = np.linspace(-0.2, 0.2, 400)
@@ -922,6 +924,13 @@ GROSSLY_FALSE = {
     "a mount the other way round": ("mount", "sensor:profiler", {"pose": turned_mount(180.0)}),
 }
 
+MEASURED = {
+    "the diameter in place of the radius": "mm, where 38 mm is stated, which may be its diameter",
+    "a place 50 mm off": "mm, where 810, 240, 180 mm is stated",
+    "a plane below the floor": "mm, where 50 mm is stated, which may be of the other sign",
+}
+"""What is said of them without them."""
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", GROSSLY_FALSE)
@@ -936,6 +945,13 @@ def test_a_relation_with_which_nothing_fits_is_named(what):
     assert check.doubt == found.message == found.warnings[0].message
     assert found.verdict.code == "contradicted"
     require_right(found.without)
+    said = dict(said_by_readings(found))
+    if relation == "mount":  # where it is without it stands in a row of its own
+        assert not said
+        return
+    assert MEASURED[what] in said[known.words]
+    assert f"without it {said[known.words]}" in found.verdict.sentence
+    assert (f"{known.words} without it", said[known.words]) in facts(found, found.verdict)
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from .messages import said
 from .shared_errors import BY_POSE
 from .survey_misfit import FALSE_RELATION, MISREAD, NO_FIT
 from .survey_motion import MORE_STATIONS
+from .survey_relations import said_by_readings
 from .verdict import (
     DECIDES,
     Improvement,
@@ -94,6 +95,7 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
         "outside-limits": [failures(checks)],
     }
     findings = [clause(one) for one in why.get(code, [])[:1]]
+    findings += _said_by_readings(result)
     findings += [some(list(_located(result)), NAMES_IN_LINE)]
     if code == "usable-with-care":
         findings.append(clause([*named, *result.warnings][0].message))
@@ -134,8 +136,13 @@ def _of_no_calibration(result: "SurveyCalibration") -> Verdict:
         best = Improvement(what, "; ".join(result.advice))
     elif causes:  # each says what to do
         best = Improvement(causes[0].code, clause(causes[0].message))
-    findings = tuple(dict.fromkeys(clause(one) for one in why))
+    findings = (*dict.fromkeys(clause(one) for one in why), *_said_by_readings(result))
     return Verdict(code, findings, best, math.nan, causes=result.warnings)
+
+
+def _said_by_readings(result: "SurveyCalibration") -> list[str]:
+    """Return what the readings say in place of the first relation that they contradict."""
+    return [f"without it {measured}" for _, measured in said_by_readings(result)][:1]
 
 
 def _located(result: "SurveyCalibration") -> Iterator[str]:

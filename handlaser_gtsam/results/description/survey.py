@@ -16,6 +16,7 @@ from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
 from ..lines import NAMES_IN_LINE, UNDETERMINED, WIDTH, decimals
 from ..messages import said
+from ..survey_relations import said_by_readings
 from ..survey_warnings import rejected_shot
 from ..verdict import Verdict
 from .description import Description
@@ -201,6 +202,8 @@ def _without(result: "SurveyCalibration", other: "SurveyCalibration") -> Iterato
     """Yield what follows without the relations that are contradicted: how far each mount moves."""
     false = " and ".join(one.known.words for one in result.relations if one.contradicted)
     yield f"without {false}", other.verdict.sentence
+    for words, measured in said_by_readings(result):
+        yield f"{words} without it", measured
     for name, sensor in other.sensors.items():
         before = result.sensors[name]
         turn = float(Rotation.from_matrix(before.rotation.T @ sensor.rotation).magnitude())
