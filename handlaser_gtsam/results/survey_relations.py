@@ -79,7 +79,7 @@ def _numbers(known: Known, of: list[tuple[str, int]]) -> Relation | None:
         at = relation.DIRECTIONS[family]
 
         def angle(x: Numbers, y: Numbers) -> Numbers:
-            return np.arccos((x[..., at] * y[..., at]).sum(axis=-1, keepdims=True))
+            return np.asarray(np.arccos((x[..., at] * y[..., at]).sum(axis=-1, keepdims=True)))
 
         return Relation(tuple(of), angle)
     if known.relation == "plane" and known.direction is not None:
@@ -88,7 +88,7 @@ def _numbers(known: Known, of: list[tuple[str, int]]) -> Relation | None:
         def offset(x: Numbers) -> Numbers:
             n = x[..., :3] * np.where(x[..., :3].real @ direction < 0.0, -1.0, 1.0)[..., None]
             foot = x[..., 4:] - x[..., 3:4] * x[..., :3]
-            return -(n * foot).sum(axis=-1, keepdims=True)
+            return np.asarray(-(n * foot).sum(axis=-1, keepdims=True))
 
         return Relation(tuple(of), offset)
     return None
