@@ -10,6 +10,7 @@ from helpers import first_and_slow
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
+from benchmarks.arm_errors import STOPS, Case, Scene
 from benchmarks.planned_cell import ERR, SENSOR, cell, errors_of
 from benchmarks.planned_loop import loop
 from handlaser_gtsam import model
@@ -21,7 +22,7 @@ from handlaser_gtsam.planning.belief import belief_of, outlook, station_rows, tr
 from handlaser_gtsam.planning.blind import completing_motion
 from handlaser_gtsam.planning.choice import choose, updated, value
 from handlaser_gtsam.planning.goal import goal_rows
-from handlaser_gtsam.planning.plan import Task
+from handlaser_gtsam.planning.plan import Task, planning_task
 from handlaser_gtsam.planning.route import divided, shortest
 from handlaser_gtsam.planning.workspace import inside, joined
 from handlaser_gtsam.results.mounts import Mounts
@@ -230,6 +231,27 @@ def test_errors_that_change_with_the_pose_count_in_the_choice(criterion):
             left({*chosen, new} - {old}) for old in chosen for new in {*range(9)} - {*chosen}
         ]
         assert left(chosen) <= min(swapped) + 1e-3 * abs(min(swapped))
+
+
+@pytest.mark.parametrize("seed", [100, 101])
+def test_what_is_promised_on_an_arm_that_errs_is_what_comes(seed):
+    """Of the stations that follow; if errors of the arm averaged away, it would be less."""
+    scene = Scene(Case("beams", False, True), seed)
+    whole = scene.recording()
+    before = np.arange(len(scene.plate)) % STOPS < STOPS // 2
+    goal, sensor = hl.planning.Goal(working_distance=0.55), hl.Sensor(range_min=0.1, range_max=1.0)
+
+    def task(calibration):
+        return planning_task(calibration, sensor, None, goal)
+
+    first = task(hl.calibrate(whole.part(before), scene.noise))
+    poses = whole.world_R_hand[~before], whole.world_t_hand[~before]
+    rows = station_rows(first.belief, Stations(*poses, scene.plate[~before]))
+    came = task(hl.calibrate(whole, scene.noise)).aim.forecast(rows[:0]).spot[0]
+    assert first.aim.forecast(rows).spot[-1] == pytest.approx(came, rel=0.05)
+    averaged = rows.copy()
+    averaged[..., len(first.belief.covariance) :] = 0.0
+    assert first.aim.forecast(averaged).spot[-1] < 0.92 * came
 
 
 def test_planned_stations_beat_random_ones(belief, pool):

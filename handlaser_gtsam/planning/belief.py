@@ -7,6 +7,7 @@ beams and of that plane are not zero. What is known after it follows by `choice.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -17,9 +18,10 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..errors import InputError
+from ..estimation.errors_by_pose import SizesByPose
 from ..model.effects import EFFECTS, OF_READINGS, OF_STATIONS
 from ..model.effects.effect import Everywhere, SeenStations
-from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, RANGE_ERROR, modelled
+from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, POSE, RANGE_ERROR, modelled
 from ..model.joint import beam_lifts, beams_lift
 from ..model.weighting import Variances, covariance_roots, reading_sigmas, whitening
 from ..results.calibration import Calibration
@@ -37,6 +39,25 @@ UNKNOWN_ANGLE = 0.5
 UNKNOWN_PLANE = np.array([UNKNOWN_ANGLE, UNKNOWN_ANGLE, UNKNOWN_LENGTH])
 COMPARED_DRAWS = 4
 """Draws of a belief, or of bounds, at which stations are compared: more change no choice much."""
+
+
+class ByPose(NamedTuple):
+    """Errors of the hand that change with its pose, which stations to come have, too.
+
+    Attributes
+    ----------
+    size : (6,)
+        Standard deviations of turns [rad] and shifts [m] by metre and radian.
+    R : (3, 3), t : (3,)
+        Mean pose of the hand in the recording, from which they change.
+    counted : (U, 36)
+        G of `choice`, of the recording.
+    """
+
+    size: FloatArray
+    R: FloatArray
+    t: FloatArray
+    counted: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +93,8 @@ class Belief:
     uncounted : tuple of str
         Codes of freed errors of which the next stations are taken to have none, because it depends on
         when and before which other stations they are measured, or on new plates.
+    by_pose : ByPose, optional
+        `covariance` is without what these errors add.
     """
 
     mean: Parameters
@@ -86,6 +109,7 @@ class Belief:
     turned_from: FloatArray = field(default_factory=lambda: np.eye(3))
     bent_from: tuple[FloatArray, float] | None = None
     uncounted: tuple[str, ...] = ()
+    by_pose: ByPose | None = None
 
     @property
     def beams(self) -> int:
@@ -144,9 +168,13 @@ class Belief:
         n = np.array([plate.normal for plate in plates.values()]).reshape(-1, 3)
         points = np.array([plate.point for plate in plates.values()]).reshape(-1, 3)
         bounds = [(x.tilt, x.tilt, x.within) for x in plates.values()]
-        unknown, bent = np.tile(UNKNOWN_PLANE, len(plates)), self.bent_from
+        unknown, bent, by_pose = np.tile(UNKNOWN_PLANE, len(plates)), self.bent_from, self.by_pose
+        if by_pose is not None:
+            counted = np.pad(by_pose.counted[:known], ((0, len(unknown)), (0, 0)))
+            by_pose = by_pose._replace(counted=counted)
         return replace(
             self,
+            by_pose=by_pose,
             bent_from=bent and (np.concatenate((bent[0][:keep], points)), bent[1]),
             mean=replace(
                 self.mean,
@@ -220,7 +248,7 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
     known = np.pad(beams, (len(counted), PLANE.dim * len(names)), constant_values=True)
     covariance = np.zeros((len(known), len(known)))
     covariance[np.ix_(known, known)] = S
-    return Belief(
+    belief = Belief(
         mean,
         covariance,
         joint.beam_bases,
@@ -234,6 +262,33 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
         bent_from,
         tuple(dict.fromkeys(e.code for e in effects if e.code not in OF_STATIONS)),
     )
+    recording, sizes = calibration.recording, calibration.errors_by_pose
+    if recording is None or sizes is None or names != recording.plane_names:
+        return belief
+    return _with_errors_by_pose(belief, calibration.used_in(recording), sizes)
+
+
+def _with_errors_by_pose(belief: Belief, used: Recording, sizes: SizesByPose) -> Belief:
+    """Return a belief whose covariance is without errors of some sizes that change with the pose.
+
+    Of the readings that were used. With P what is left of S, that is P + P G G'P; so that
+
+        P = S - L L',  L = S G inv(I + K),  K + K^2 = G'S G.
+    """
+    if sizes.growth <= 1.0:
+        return belief
+    read = ~np.isnan(used.ranges).all(axis=1)
+    R, t = used.world_R_hand[read], used.world_t_hand[read]
+    size = np.repeat([sizes.turn, sizes.shift], 3)
+    mean = Rotation.from_matrix(R).mean().as_matrix(), t.mean(axis=0)
+    nothing = np.zeros((len(belief.covariance), POSE.dim**2))
+    rows = recorded_rows(replace(belief, by_pose=ByPose(size, *mean, nothing)), used)
+    A, F = np.split(rows.reshape(-1, rows.shape[-1]), [len(nothing)], axis=1)
+    S, G = belief.covariance, A.T @ F
+    square, axes = np.linalg.eigh(G.T @ S @ G)
+    K = 0.5 * (np.sqrt(1.0 + 4.0 * np.maximum(square, 0.0)) - 1.0)
+    L = S @ G @ axes / (1.0 + K)
+    return replace(belief, covariance=S - L @ L.T, by_pose=ByPose(size, *mean, G))
 
 
 def _with_freed(
@@ -305,14 +360,16 @@ def outlook(
 
 
 def station_rows(belief: Belief, stations: Stations) -> FloatArray:
-    """Return the whitened derivatives A (M, B, U) of what stations would read, by all unknowns.
+    """Return the whitened derivatives A (M, B, U + c) of what stations would read, by all unknowns.
+
+    The last c are by errors of the hand that change with its pose, of unit variance.
 
     Raises
     ------
     GrazingBeamError, InputError
         As `outlook` does.
     """
-    readings, _, columns, derivatives = _linearized(belief, stations)
+    readings, x, columns, derivatives = _linearized(belief, stations)
     rows = np.zeros((len(readings), len(belief.covariance)))
     np.put_along_axis(rows, columns, derivatives, axis=1)
     if belief.errors:
@@ -326,12 +383,18 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
                 found = EFFECTS[code].at(seen)
                 assert isinstance(found, Everywhere), "it is of stations"
                 rows[:, column] = found.columns[:, 0]
+    if belief.by_pose is not None:
+        size, R, t, _ = belief.by_pose
+        turned = Rotation.from_matrix(R).inv() * Rotation.from_matrix(stations.world_R_hand)
+        pose = np.hstack((turned.as_rotvec(), stations.world_t_hand - t))[readings.station]
+        moved = model.linearize(x, readings.distance, with_pose=True).pose * size
+        rows = np.hstack((rows, (pose[:, :, None] * moved[:, None]).reshape(len(rows), -1)))
     how = whitening(belief.mean, readings, belief.variances.for_stations(len(stations)))
     return (how.apply_rows(rows) / how.sigma).reshape(len(stations), belief.beams, -1)
 
 
 def recorded_rows(belief: Belief, recording: Recording) -> FloatArray:
-    """Return the rows (M, B, U) of the readings of a recording, whose planes those of a belief are.
+    """Return the rows (M, B, U + c) of the readings of a recording; its planes are a belief's.
 
     Of stations where all beams can read at the mean.
     """
@@ -339,7 +402,8 @@ def recorded_rows(belief: Belief, recording: Recording) -> FloatArray:
     n_hand = np.einsum("mji,mj->mi", recording.world_R_hand, belief.mean.normals[plane])
     facing = (n_hand @ belief.mean.directions.T > model.GRAZING_LIMIT).all(axis=1)
     if not facing.any():
-        return np.zeros((0, belief.beams, len(belief.covariance)))
+        width = 0 if belief.by_pose is None else belief.by_pose.counted.shape[1]
+        return np.zeros((0, belief.beams, len(belief.covariance) + width))
     stations = Stations(recording.world_R_hand, recording.world_t_hand, plane)[facing]
     read = ~np.isnan(recording.ranges[facing])
     return np.where(read[..., None], station_rows(belief, stations), 0.0)

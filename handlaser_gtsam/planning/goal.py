@@ -206,7 +206,7 @@ class Aim:
 
         See `choose`; `beside` are the rows (M, B, U + c) of stations that are chosen already.
         """
-        *_, (known, by_pose) = updates(self.covariance, self.by_pose, beside)
+        known, by_pose = self.after(beside)
         return choose(
             rows,
             known,
@@ -217,6 +217,11 @@ class Aim:
             exchange=exchange,
             start=start,
         )
+
+    def after(self, rows: Iterable[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Return the covariance (U, U) and `by_pose` after stations given by rows (M, B, U + c)."""
+        *_, last = updates(self.covariance, self.by_pose, rows)
+        return last
 
     def forecast(self, rows: FloatArray) -> Forecast:
         """Return what will be known after each of some stations, given by rows (M, B, U + c)."""

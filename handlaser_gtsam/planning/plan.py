@@ -19,7 +19,7 @@ from ..results.mounts import Mounts
 from ..validation.simulate import Stations, generator, plane_name
 from .belief import COMPARED_DRAWS, Belief, belief_of, outlook, station_rows
 from .bounds import MOST_PLANNED, Placement, Plate
-from .choice import updated, value
+from .choice import value
 from .goal import Aim, Goal
 from .route import Plan, planned, visited
 from .workspace import (
@@ -70,8 +70,9 @@ class Task(NamedTuple):
     @property
     def aim(self) -> Aim:
         """What the stations are chosen for."""
-        distance = self.goal.distance(self.sensor)
-        return Aim(self.belief.covariance, self.belief.mounts(distance), self.goal, distance)
+        distance, belief = self.goal.distance(self.sensor), self.belief
+        by_pose = None if belief.by_pose is None else belief.by_pose.counted
+        return Aim(belief.covariance, belief.mounts(distance), self.goal, distance, by_pose)
 
     def safe(self, stations: Stations) -> BoolArray:
         """Tell at which stations (M,) all readings are within the sensor's limits, with a margin.
@@ -383,11 +384,13 @@ def _placed(
             except InputError:
                 continue
             rows, aim = station_rows(belief, pool), trial.aim
-            known = updated(belief.covariance, rows[aim.chosen(rows[None], count)])
-            left = value(known, aim.weight, task.goal.criterion)
+            known, by_pose = aim.after(rows[aim.chosen(rows[None], count)])
+            left = value(known, aim.weight, task.goal.criterion, by_pose)
             if left < best:
                 best, put[name] = left, plate
                 after = replace(belief, covariance=known)
+                if belief.by_pose is not None:
+                    after = replace(after, by_pose=belief.by_pose._replace(counted=by_pose))
         if name in put:
             task = task._replace(belief=after)
         elif put:
