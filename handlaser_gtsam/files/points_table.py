@@ -130,7 +130,8 @@ def read_points(
             foreign = [one for one in names.unique(maintain_order=True) if one not in place]
             if foreign and not (growing and len(foreign) < names.n_unique()):
                 found = f"station {some([shown(one) for one in foreign], 4)}"
-                raise InputError(found, f"stations {of_recording}", path, None, column)
+                wrong = names.is_in(foreign).to_numpy()
+                table.refuse(wrong, column, f"stations {of_recording}", found)
             if foreign:
                 awaited += foreign
                 there = ~names.is_in(foreign)
