@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from helpers import GRIPPER, ROOT
+from profiler_example import calibrated_example
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.validation.simulate import Errors, Stations, simulate
@@ -40,6 +41,19 @@ def test_a_first_motion(handlaser, tmp_path):
     assert np.linalg.matrix_rank(steps, tol=1e-4) == 3
     way = np.linalg.norm(np.diff(stations.world_t_hand, axis=0), axis=1)
     assert way.max() < 0.06 + 1e-9  # largest_step_mm
+
+
+def test_a_first_motion_says_which_sensors_it_is_not_for(handlaser, tmp_path):
+    """Sensors of many rays have no bounds, and single beams of [[sensors]] are those of [blind]."""
+    rig, beam = tmp_path / "rig.toml", '\n[[sensors]]\nname = "1"\nkind = "beam"\n'
+    profiler = '\n[[sensors]]\nname = "line"\nkind = "profiler"\npoints = "line.csv"\n'
+    out = tmp_path / "stations.csv"
+    for more, warned in ((beam, False), (profiler, True)):
+        rig.write_text(RIG.read_text() + more)
+        code, text, err = handlaser("plan", "--rig", rig, "--out", out)
+        assert code == 0
+        assert "first motion" in text
+        assert ("says nothing of line in [[sensors]]" in " ".join(err.split())) == warned
 
 
 def test_from_a_recording(handlaser, tmp_path, rig):
@@ -146,6 +160,15 @@ def test_refusals(refusal, tmp_path, rig, arguments, words):
 def test_no_range_of_the_sensor(refusal, tmp_path):
     out = tmp_path / "s.csv"
     assert "range_mm" in refusal("plan", RECORDING, "--out", out)
+
+
+def test_the_result_of_a_survey_is_refused_before_anything_is_asked_for(refusal, tmp_path):
+    result, rig = tmp_path / "result.json", tmp_path / "rig.toml"
+    hl.write_calibration(result, calibrated_example())
+    rig.write_text(BOX)
+    found = refusal("plan", "--rig", rig, "--calibration", result)
+    assert "found the result of a survey with --calibration; expected RECORDING" in found
+    assert "range_mm" not in found
 
 
 def test_an_input_is_not_replaced(refusal, rig):

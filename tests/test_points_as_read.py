@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.data.screening import codes_of_shots
+from handlaser_gtsam.files.points_table import without_copies
 from handlaser_gtsam.files.watch.watched import Watched
 from handlaser_gtsam.files.watch.worker import Calibrator
 
@@ -293,3 +294,54 @@ def test_files_without_a_pose_are_refused_with_what_to_do(tmp_path, refusal):
     row = rows[7]
     poses.write_text("".join([*rows, row.replace(",7,", ",07,")]))
     assert "'007'" in refusal(*given)
+
+
+def again(rows, how):
+    """Rows of one station, stored again as files and sensors do."""
+    return {
+        "pasted twice": rows + rows,
+        "pasted three times": rows + rows + rows,
+        "each row twice": [row for row in rows for _ in range(2)],
+        "each row twice, pasted twice": 2 * [row for row in rows for _ in range(2)],
+    }[how]
+
+
+@pytest.mark.parametrize(
+    "how",
+    ["pasted twice", "pasted three times", "each row twice", "each row twice, pasted twice"],
+)
+def test_points_that_all_stand_more_than_once_count_once(tmp_path, how):
+    """They made standard deviations too small by the root of how often they stand, without a word."""
+    survey(tmp_path, EMPTY)
+    once = read(tmp_path)
+    for path in sorted((tmp_path / "scans").iterdir())[3:]:
+        head, *rows = path.read_text().splitlines()
+        path.write_text("\n".join([head, *again(rows, how)]) + "\n")
+    found = read(tmp_path)
+    assert found.shots == once.shots
+    (warning,) = found.warnings
+    assert warning.code == "repeated-stations"
+    assert warning.values == {"sensor": "line", "stations": 16, "repeated": 13, "first": "004"}
+    assert once.warnings == ()
+
+
+def test_rounded_readings_of_an_array_that_are_equal_are_no_copies():
+    """Four frames of four zones: zones that read the same number are of different rays."""
+    rng = np.random.default_rng(0)
+    zone = np.tile(np.arange(4.0), 4)
+    for _ in range(200):
+        reading = 500.0 + rng.integers(0, 2, 16)
+        numbers = np.column_stack((zone, reading))
+        frames = reading.reshape(4, 4)
+        station, left, doubled = without_copies(np.zeros(16, dtype=np.intp), numbers)
+        if (frames[:2] == frames[2:]).all():  # frames that repeat as a whole tell nothing new
+            assert doubled.tolist() == [0]
+            continue
+        assert not len(doubled)
+        assert len(station) == 16
+        assert np.array_equal(left, numbers)
+    same = np.column_stack((np.arange(16.0), np.full(16, 500.0)))
+    assert len(without_copies(np.zeros(16, dtype=np.intp), same)[0]) == 16
+    # Some rows twice are part of a file that may be right.
+    part = np.concatenate((same, same[:5]))
+    assert len(without_copies(np.zeros(21, dtype=np.intp), part)[0]) == 21

@@ -112,3 +112,96 @@ def test_what_is_no_log_of_poses_is_refused(refusal, folder, tmp_path):
     assert "--out" in refusal(
         "convert", str(folder / "poses.csv"), "--rig", rig, "--out", str(folder / "profiles.csv")
     )
+
+
+def with_beams(folder, header="range_a,range_b", *, units='range_units = "mm"'):
+    """Two beams in the log of the first four stations, whose profiles accuse no convention.
+
+    The readings are made up: they are read, and no result is asked for.
+    """
+    rows = (folder / "poses.csv").read_text().splitlines()[:5]
+    more = [header, "150.5,160.25", "151.5,", "OVER,162.25", "153.5,163.25"]
+    text = "\n".join(f"{row},{cells}" for row, cells in zip(rows, more, strict=True))
+    (folder / "poses.csv").write_text(text + "\n")
+    rows = (folder / "profiles.csv").read_text().splitlines()
+    rows = [row for row in rows if row.split(",")[0] in ("station", "P1", "P2", "P3", "P4")]
+    (folder / "profiles.csv").write_text("\n".join(rows) + "\n")
+    stated(folder, 'pose_format = "kuka"', f'pose_format = "kuka"\n{units}')
+
+
+READ = np.array([[0.1505, 0.16025], [0.1515, np.nan], [np.nan, 0.16225], [0.1535, 0.16325]])
+
+
+@pytest.mark.parametrize(
+    ("header", "log"),
+    [
+        ("range_a,range_b", ""),
+        ("range_a,range_b", 'range_columns = ["a=range_a", "b=range_b"]'),
+        ("Laser 1,Laser 2", 'range_columns = ["a=Laser 1", "b=Laser 2"]'),
+    ],
+)
+def test_single_beams_of_a_log_are_read_beside_tables_of_points(folder, handlaser, header, log):
+    """As those of a recording, in the stated unit, with codes; what `convert` writes is the same."""
+    with_beams(folder, header, units=f'range_units = "mm"\n{log}')
+    rig, out = folder / "rig.toml", folder / "stations.csv"
+    read = hl.read_survey(folder / "poses.csv", rig)
+    assert read.beam_names == ("a", "b")
+    assert np.allclose(read.ranges, READ, rtol=0.0, atol=1e-12, equal_nan=True)
+    assert "a, b in millimetres" in read.lines
+    assert [one.code for one in read.warnings] == ["reading-code"]
+    code, said, _ = handlaser("convert", folder / "poses.csv", "--rig", rig, "--out", out)
+    assert code == 0
+    assert said.startswith("4 stations, 1 sensor, 2 beams, 1 target")
+    again = hl.read_survey(out, rig)
+    assert again.beam_names == read.beam_names
+    assert np.array_equal(again.ranges, read.ranges, equal_nan=True)
+
+
+def test_repeated_readings_of_a_station_are_averaged_beside_tables_of_points(folder):
+    with_beams(folder)
+    rows = (folder / "poses.csv").read_text().splitlines()
+    again = rows[1].replace("150.5,160.25", "150.7,160.35")
+    (folder / "poses.csv").write_text("\n".join([*rows[:2], again, *rows[2:]]) + "\n")
+    read = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    assert read.ranges[0] == pytest.approx([0.1506, 0.1603])
+    assert read.stations.station_names == ("P1", "P2", "P3", "P4")
+    assert "4 repeated readings became their means" in read.lines
+
+
+def test_readings_of_beams_in_a_second_file_are_joined_beside_tables_of_points(folder):
+    with_beams(folder)
+    rows = [row.split(",") for row in (folder / "poses.csv").read_text().splitlines()]
+    tables = {"poses.csv": slice(0, -2), "beams.csv": slice(-2, None)}
+    for name, columns in tables.items():
+        lines = [",".join([row[0], *row[1:][columns]]) for row in rows]
+        (folder / name).write_text("\n".join(lines) + "\n")
+    more = 'readings = "beams.csv"\nreadings_station_column = "Point"'
+    stated(folder, 'pose_format = "kuka"', f'pose_format = "kuka"\n{more}')
+    read = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    assert np.allclose(read.ranges, READ, rtol=0.0, atol=1e-12, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("log", "words"),
+    [
+        ('range_columns = ["a=Laser 1"]', "no column 'Laser 1' among Point, Target"),
+        ("range_sigma_from_scatter = true", "which says nothing of sensors of many rays"),
+        (
+            "estimate_lag = true\ntolerance_s = 1.0",
+            "log.estimate_lag with sensors of many rays; expected log.lag_s",
+        ),
+    ],
+)
+def test_what_cannot_be_read_of_beams_beside_tables_of_points_is_refused(
+    folder, refusal, log, words
+):
+    with_beams(folder, units=f'range_units = "mm"\n{log}')
+    assert words in refusal("check", folder / "poses.csv", "--rig", folder / "rig.toml")
+
+
+def test_a_station_twice_in_a_log_of_poses_is_refused_with_its_line(folder, refusal):
+    rows = (folder / "poses.csv").read_text().splitlines()
+    rows[5] = rows[5].replace("P5", "P2", 1)
+    (folder / "poses.csv").write_text("\n".join(rows) + "\n")
+    err = refusal("check", folder / "poses.csv", "--rig", folder / "rig.toml")
+    assert "poses.csv, line 6, column Point: found station 'P2' again" in err

@@ -672,7 +672,7 @@ def test_a_wrong_file_of_points_a_station_is_refused_in_one_line(folder, refusal
 
 
 WRONG_POINTS = {
-    "a station that is not there": ("P3,", "Q3,", "'Q3'"),
+    "a station that is not there": ("P3,", "Q3,", "line 98, column station: found station 'Q3'"),
     "a word": ("P3,", "P3,x", "a finite number or an empty cell"),
     "no station": ("P3,", ",", "the name of a station"),
     "a header without a column": ("station,x,z", "station,x,y", "no column 'z'"),
@@ -737,6 +737,17 @@ def test_commas_of_decimals_and_of_cells_are_told_apart(folder, refusal):
     assert "found 5 fields; expected 3, as in the header; decimal commas need another" in refusal(
         "check", folder / "poses.csv", "--rig", folder / "rig.toml"
     )
+
+
+def test_thousands_among_decimal_commas_are_refused_with_what_to_remove(folder, refusal):
+    points = folder / "profiles.csv"
+    head, first, *rows = points.read_text().replace(",", ";").replace(".", ",").splitlines()
+    station, x, _ = first.split(";")
+    points.write_text("\n".join([head, f"{station};{x};1.235,657", *rows]) + "\n")
+    err = refusal("check", folder / "poses.csv", "--rig", folder / "rig.toml")
+    assert "line 2, column z: found '1.235,657'" in err
+    assert "remove separators of thousands" in err
+    assert "write decimals with a point" not in err
 
 
 @pytest.mark.slow

@@ -88,7 +88,8 @@ def convert(
 ) -> None:
     r"""Turn the log of a robot controller, a spreadsheet or a bag into a recording.
 
-    With the [[sensors]] of a rig file, a log of poses becomes stations; tables of points stay.
+    With the [[sensors]] of a rig file, a log of poses becomes stations, with the ranges of single beams
+    if it has any; tables of points stay.
 
     Exit codes: 0 good; 2 bad input, or a log that would fit far better if it were read another way.
 
@@ -115,8 +116,9 @@ def convert(
         --pose-format ros --write-log logs.toml
     """
     from ..files.logs.bags import is_bag
-    from ..files.logs.reading import describe_log
-    from ..files.recording_csv import write_recording, write_stations
+    from ..files.logs.columns import names_ranges
+    from ..files.logs.reading import describe_log, is_log
+    from ..files.recording_csv import PREFIX, write_columns, write_recording
     from ..files.rig_toml import known_rig, with_log_table
     from ..files.survey_reading import read_survey
     from ..files.writing import require_outputs, write_text
@@ -138,12 +140,14 @@ def convert(
             raise InputError("a bag, with sensors of many rays", expected, log_file)
         if known.many_rays:
             survey = read_survey(log_file, known)
-            if survey.beam_names:
+            ranges = PREFIX, survey.beam_names, survey.ranges
+            if survey.beam_names and not is_log(log_file, given, readings=names_ranges(given)):
                 words = "a recording with ranges of beams, which is no log of poses"
                 raise InputError(words, "it as it is: other verbs take it", log_file)
             if out is not None:
-                write_stations(out, survey.stations)
+                write_columns(out, survey.stations, ranges)
             sizes = {"station": len(survey.stations), "sensor": len(survey.shots)}
+            sizes |= {"beam": len(survey.beam_names)} if survey.beam_names else {}
             sizes["target"] = len(set(survey.stations.plane_labels))
             sizes["point"] = sum(len(shots.reading) for shots in survey.shots)
             words = ", ".join(count(number, noun) for noun, number in sizes.items())

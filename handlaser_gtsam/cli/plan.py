@@ -54,7 +54,8 @@ def plan(
 ) -> None:
     r"""Say where to measure next.
 
-    Without RECORDING and --calibration: a first motion for any mount within the bounds of the rig file.
+    Without RECORDING and --calibration: a first motion for any mount of single beams within the bounds
+    of the rig file.
 
     Exit codes: 0 good; 2 bad input; 3 the recording does not determine the calibration that would guide
     the plan. With sensors of many rays, or other targets than planes, stations are chosen all the same,
@@ -66,8 +67,8 @@ def plan(
     recording : Path, optional
         What was recorded so far: a recording, CSV, or a log; it is calibrated first.
     calibration : Path, optional
-        Result of `handlaser calibrate --out`, instead of RECORDING. What it says of the planes is their
-        place only: stations before them count as before planes that were moved.
+        Result of `handlaser calibrate --out`, of beams before planes, instead of RECORDING. What it says
+        of the planes is their place only: stations before them count as before planes that were moved.
     planes : int, optional
         Times to move the plate, to orientations that are part of the plan; default: before the planes
         as they stand.
@@ -147,7 +148,8 @@ def _planned(
             raise InputError("neither RECORDING nor --calibration", expected)
         each = None if stations is None else stations // (planes or 1)
         known = rig.bounds, rig.sensor, rig.workspace, rig.noise, each
-        return blind_motion(*known, planes=planes or 1, goal=rig.goal, rng=rng), []
+        motion = blind_motion(*known, planes=planes or 1, goal=rig.goal, rng=rng)
+        return motion, _beyond_bounds(rig)
     # Without a goal as many as an hour's work; with one, the plan ends where it is reached.
     most = stations or (100 if rig.goal.stated else 20)
     stated = model.stated() + ([] if planes is None else ["--planes"])
@@ -157,12 +159,13 @@ def _planned(
     if isinstance(read, Survey):
         found = calibrate(read, rig.noise)
         return planning.plan(found, most, workspace=rig.workspace, goal=rig.goal, rng=rng), []
-    require_range(rig.sensor)
     calibration: Calibration | Mounts
     hidden = list[str]()
     if read is None:
         calibration, plates, hidden = _result(result or Path(), rig)
+        require_range(rig.sensor)
     else:
+        require_range(rig.sensor)
         plates = None
         calibration = calibrate(read.recording, rig.noise, options)
         if calibration.status != "converged":
@@ -171,6 +174,21 @@ def _planned(
     placement = None if planes is None else replace(rig.placement, count=planes)
     asked = calibration, most, rig.sensor, rig.workspace, rig.goal
     return planning.plan(*asked, plates=plates, placement=placement, rng=rng), hidden
+
+
+def _beyond_bounds(rig: "Rig") -> list[str]:
+    """Warn of sensors of many rays, for which there is no first motion."""
+    from ..text import some
+
+    many = () if rig.survey is None else rig.survey.sensors
+    if not many:
+        return []
+    names = some([one.name for one in many], 4)
+    return [
+        "WARNING: a first motion is for the single beams of [blind], and says nothing of "
+        f"{names} in [[sensors]]: choose the first stations of these yourself, and plan the next ones "
+        "from RECORDING"
+    ]
 
 
 def _hidden(calibration: "Calibration", rig: "Rig") -> list[str]:
@@ -211,14 +229,20 @@ def _result(path: Path, rig: "Rig") -> "tuple[Mounts, Mapping[str, Plate], list[
 
     Lines say which freed errors of it a plan does not count at the stations to come.
     """
-    from ..files.calibration_reading import read_mounts, read_of_beams
+    from ..files.calibration_reading import SurveyFile, mounts_of, read_calibration
+    from ..files.checked_text import in_file
     from ..planning.bounds import plate_of
 
-    mounts = read_mounts(path)
+    file = read_calibration(path)
+    if isinstance(file, SurveyFile):
+        found = "the result of a survey with --calibration"
+        expected = "RECORDING in its place: stations of a survey are planned from what was read"
+        raise InputError(found, expected, path)
+    with in_file(path):
+        mounts = mounts_of(file)
     if rig.workspace is None:
         raise InputError("a result without a workspace", "the table [workspace] of the rig file")
     middle, plates = 0.5 * (rig.workspace.low + rig.workspace.high), {}
-    file = read_of_beams(path)
     for plane in file.planes:
         sigma = plane.sigma
         known = (None, None) if sigma is None else (sigma.offset_m, sigma.normal_rad)

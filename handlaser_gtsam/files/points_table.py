@@ -64,10 +64,11 @@ def read_points(
     station_column: str = "",
     *,
     growing: bool = False,
-) -> tuple[Points, dict[str, str], Codes, tuple[str, ...]]:
+) -> tuple[Points, dict[str, str], Codes, IntArray, tuple[str, ...]]:
     """Return points as they stand, the units of their columns, their codes, and what was passed over.
 
-    The unit is that in the name of the column, empty for none. What was passed over is said in lines.
+    The unit is that in the name of the column, empty for none. Points that stand more than once count
+    once; the stations (K,) of which this is come before the lines on what was passed over.
 
     Parameters
     ----------
@@ -129,7 +130,8 @@ def read_points(
             foreign = [one for one in names.unique(maintain_order=True) if one not in place]
             if foreign and not (growing and len(foreign) < names.n_unique()):
                 found = f"station {some([shown(one) for one in foreign], 4)}"
-                raise InputError(found, f"stations {of_recording}", path, None, column)
+                wrong = names.is_in(foreign).to_numpy()
+                table.refuse(wrong, column, f"stations {of_recording}", found)
             if foreign:
                 awaited += foreign
                 there = ~names.is_in(foreign)
@@ -142,6 +144,7 @@ def read_points(
         parts.append(points)
         units = named
     codes: Codes = {}
+    doubled = np.empty(0, dtype=np.intp)
     if parts:
         station = np.concatenate([at for at, _ in parts])
         numbers = np.concatenate([points for _, points in parts])
@@ -152,6 +155,7 @@ def read_points(
         if kind != "profiler":
             good = (numbers != 0.0).any(axis=1) if kind == "points" else reading > 0.0
             station, numbers = station[good], numbers[good]
+        station, numbers, doubled = without_copies(station, numbers)
         station, numbers, codes = without_codes(station, numbers)
     if awaited and not parts:
         found = f"points of station {some([shown(one) for one in awaited], 4)} only"
@@ -166,8 +170,48 @@ def read_points(
     if awaited:
         lines.append(f"{AWAITED} {some(awaited, 4)}, whose points are there")
     if kind == "array":
-        return _of_echoes(station, numbers, echo), units, codes, tuple(lines)
-    return (station, numbers, np.full(len(numbers), np.nan)), units, codes, tuple(lines)
+        return _of_echoes(station, numbers, echo), units, codes, doubled, tuple(lines)
+    points = station, numbers, np.full(len(numbers), np.nan)
+    return points, units, codes, doubled, tuple(lines)
+
+
+def without_copies(station: IntArray, numbers: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:
+    """Return stations (N,) and numbers (N, c) of points without copies, and whose had some (K,).
+
+    All points of a station stand several times, to the last digit, one list after the other or each row
+    several times in succession. Rows of different rays that are equal are no copies, and neither are
+    some rows that repeat among others that do not.
+    """
+    order = np.argsort(station, kind="stable")
+    names, first = np.unique(station[order], return_index=True)
+    doubled, kept = [], []
+    for name, rows in zip(names.tolist(), np.split(order, first[1:]), strict=True):
+        once = _first_copies(numbers[rows])
+        if len(once) < len(rows):
+            doubled.append(name)
+        kept.append(rows[once])
+    if doubled:
+        each = np.sort(np.concatenate(kept))
+        station, numbers = station[each], numbers[each]
+    return station, numbers, np.array(doubled, dtype=np.intp)
+
+
+def _first_copies(rows: FloatArray) -> IntArray:
+    """Return which rows (n, c) stand for all of them: all, if they are no copies of each other."""
+    kept = np.arange(len(rows))
+    alike = int((rows == rows[0]).all(axis=1).sum())
+    for times in range(alike, 1, -1):
+        if alike % times or len(rows) % times:
+            continue
+        lists = rows.reshape(times, -1, rows.shape[1])
+        if (lists == lists[0]).all():
+            kept = kept[: len(rows) // times]
+        elif (rows == np.repeat(rows[::times], times, axis=0)).all():
+            kept = kept[::times]
+        else:
+            continue
+        return kept[_first_copies(rows[kept])]
+    return kept
 
 
 def without_codes(station: IntArray, numbers: FloatArray) -> tuple[IntArray, FloatArray, Codes]:

@@ -18,7 +18,7 @@ that name, what differs from the others: sigma_mm, and half_angle_deg of its con
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -36,6 +36,7 @@ from ..errors import CalibrationWarning, InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
 from ..model.sensor_limits import LONG_RANGE
 from ..quantities import DEG, IN_DEG, IN_MM, LARGEST_LENGTH, MAJORITY, MM, WIDEST_CONE
+from ..results.messages import Values, warned
 from ..text import shown
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
@@ -159,7 +160,7 @@ class SurveyTables:
         InputError
         """
         from .logs.bag_points import read_bag_points
-        from .points_table import without_codes
+        from .points_table import without_codes, without_copies
 
         for table in self.sensors:
             if table.points or not table.topics:
@@ -173,7 +174,10 @@ class SurveyTables:
             found = read_bag_points(path, given, wanted)
             shots, warnings = [], list(found.warnings)
             for table, published in zip(self.sensors, found.points, strict=True):
-                station, numbers, codes = without_codes(*published)
+                *once, doubled = without_copies(*published)
+                station, numbers, codes = without_codes(*once)
+                names = found.stations.station_names
+                warnings += _copy_warnings(table, published[0], doubled, names)
                 warnings += _code_warnings(table, codes)
                 own = station, numbers, np.full(len(numbers), np.nan)
                 shots.append(self._shots(table, own, 1.0, 1.0))
@@ -205,7 +209,7 @@ class SurveyTables:
         growing = bool(self.copies)
         from .points_table import read_points
 
-        points, named, codes, lines = read_points(
+        points, named, codes, doubled, lines = read_points(
             files, table.kind, stations, table.echo, station_column, growing=growing
         )
         turns = {"angle"} & named.keys()
@@ -221,7 +225,9 @@ class SurveyTables:
         words += f" and {more}" if turns else ""
         if table.kind == "profiler" and shots.reading.max() < 0.0:
             words += ", all z below zero: its mount is that of a frame whose z points backwards"
-        return shots, (f"{table.name} in {words}", *lines), _code_warnings(table, codes)
+        warnings = _copy_warnings(table, points[0], doubled, stations)
+        warnings += _code_warnings(table, codes)
+        return shots, (f"{table.name} in {words}", *lines), warnings
 
     def _shots(self, table: SensorTable, points: "Points", length: float, angle: float) -> Shots:
         """Return shots of the numbers of each point, whose units are a length [m] and an angle [rad].
@@ -298,6 +304,17 @@ class SurveyTables:
     def folders(self) -> tuple[Path, ...]:
         """Folders into which further tables of points come, one a station."""
         return tuple(path.parent for path in self._of_each)
+
+
+def _copy_warnings(
+    table: SensorTable, station: IntArray, doubled: IntArray, names: Sequence[str]
+) -> list[CalibrationWarning]:
+    """Warn of stations (K,) all of whose points stand more than once, of those of all points (N,)."""
+    if not len(doubled):
+        return []
+    values: Values = {"sensor": table.name, "stations": len(np.unique(station))}
+    values |= {"repeated": len(doubled), "first": names[int(doubled[0])]}
+    return [warned("repeated-stations:points", values)]
 
 
 def _code_warnings(table: SensorTable, codes: "Codes") -> list[CalibrationWarning]:

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,20 +10,25 @@ from ..arrays import FloatArray
 from ..data.recording import Recording
 from ..data.station_list import StationList
 from ..data.survey import Survey
-from ..errors import InputError
-from ..model.conventions import numbers_of
-from ..model.sensor_limits import Sensor
+from ..errors import CalibrationWarning, InputError
+from ..model.conventions import UNIT_WORDS, numbers_of
+from ..text import some
 from .checked_text import in_file
+from .logs.assembling import averaged, how_joined, odd_readings, targets_of
 from .logs.bags import is_bag
-from .logs.columns import columns_of
-from .logs.format import NO_HALF_ANGLE, LogFormat
+from .logs.columns import names_ranges
+from .logs.format import NO_HALF_ANGLE
 from .logs.format_checks import convention_of
-from .logs.motion import Way
 from .logs.poses import hand_poses
-from .logs.reading import OF_READINGS, OF_SCATTER, is_log, refuse_of_a_bag
-from .logs.rows import LogRows, rows_of
+from .logs.reading import (
+    OF_READINGS,
+    OF_SCATTER,
+    is_log,
+    joined_tables,
+    refuse_of_a_bag,
+    refuse_stated,
+)
 from .logs.survey_conventions import refuse_wrong_reading
-from .logs.tables import read_log_table
 from .recording_csv import POSE, PREFIX, range_numbers, read_recording, stations_of
 from .rig_toml import Rig, read_rig
 from .table import read_table
@@ -37,8 +42,9 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     ----------
     path : Path or str
         CSV with `plane` (labels such as `plane:A` or `sphere:S1`), `station` and poses, as a
-        recording; `range_NAME` of single beams may stand there, too. Or a log of poses, where the rig
-        file says how it is written. Or a bag with the poses and the topics of the sensors.
+        recording; `range_NAME` of single beams may stand there, too. Or a log of poses, and of single
+        beams, where the rig file says how it is written. Or a bag with the poses and the topics of the
+        sensors.
     rig : Rig, Path or str
         Its `noise` is no part of a survey: `hl.calibrate(survey, rig.noise)` counts it.
 
@@ -56,17 +62,18 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         raise InputError("no table [[sensors]] or [[known]]", expected, path)
     tables, log = rig.survey, rig.log
     ranges: FloatArray | None = None
-    rows: LogRows | None = None
+    numbers: FloatArray | None = None
     beams, lines = tuple[str, ...](), tuple[str, ...]()
     if is_bag(path):
         refuse_of_a_bag(log, path, OF_SCATTER if log.range_columns else OF_READINGS)
         read = tables.bag(path, log)
         stations, shots, lines, coded = read.stations, read.shots, read.lines, read.warnings
         ranges, beams = read.ranges, read.beam_names
-    elif is_log(path, log, readings=False):
-        stations, rows = _of_log(path, log)
+    elif is_log(path, log, readings=names_ranges(log)):
+        of_log = _of_log(path, rig)
+        stations, numbers, ranges, beams = of_log[:4]
         shots, lines, coded = tables.shots(stations.station_names, log.station_column)
-        lines = (rows.words, *lines)
+        lines, coded = (*of_log.lines, *lines), (*of_log.warnings, *coded)
     else:
         table = read_table(path, ("plane", *POSE))
         stations = StationList(*stations_of(table, PREFIX))
@@ -86,13 +93,38 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         survey = _survey(stations, ranges, beams, rig, shots=shots, lines=lines)
     cones = np.count_nonzero(survey.cones)
     coded = tuple(one for one in coded if one.code != NO_HALF_ANGLE or cones < one.values["beams"])
-    warnings = coded if rows is None else (*rows.warnings, *coded)
+    warnings = coded
     if shots and not is_bag(path):
         with in_file(path):
-            at = stations.world_R_hand, stations.world_t_hand
-            numbers = numbers_of(*at, convention_of(log)) if rows is None else rows.posed
+            if numbers is None:
+                at = stations.world_R_hand, stations.world_t_hand
+                numbers = numbers_of(*at, convention_of(log))
             warnings += refuse_wrong_reading(survey, numbers, log)
     return replace(survey, warnings=warnings)
+
+
+class _LogStations(NamedTuple):
+    """The stations of a log, and what single beams read there.
+
+    Attributes
+    ----------
+    stations : StationList
+    numbers : (S, k)
+        The pose of each as the log has it.
+    ranges : (S, B), optional
+        [m]; None where the log has poses only.
+    beams : tuple of str
+    lines : tuple of str
+        How the log was read, for a person.
+    warnings : tuple of CalibrationWarning
+    """
+
+    stations: StationList
+    numbers: FloatArray
+    ranges: FloatArray | None
+    beams: tuple[str, ...]
+    lines: tuple[str, ...]
+    warnings: tuple[CalibrationWarning, ...]
 
 
 def survey_of(recording: Recording, rig: Rig) -> Survey:
@@ -119,13 +151,42 @@ def _survey(
     return Survey(stations, ranges=ranges, beam_names=beams, **more)
 
 
-def _of_log(path: Path, given: LogFormat) -> tuple[StationList, LogRows]:
-    """Return the stations of a log of poses that has labels, or one target for all; and its rows."""
-    table = read_log_table(path, given)
-    rows = rows_of(table, columns_of(table, given, readings=False), given, Sensor())
-    R, t = hand_poses(rows.posed, Way.of_groups(np.arange(len(rows.posed))), given)
-    labels = rows.planes if rows.planes is not None else [given.plane] * len(R)
-    if not all(labels):
-        expected = "a column plane, --plane-column NAME, or one label for all by --plane"
-        raise InputError("no target of the stations", expected, path)
-    return StationList(R, t, tuple(labels), tuple(rows.names)), rows
+def _of_log(path: Path, rig: Rig) -> _LogStations:
+    """Return the stations of a log, and what single beams read there, if it has columns of ranges.
+
+    Readings of one beam that repeat at a station are averaged, and count as one.
+    """
+    given = rig.log
+    refuse_stated(given, OF_SCATTER, "sensors of many rays", path)
+    if given.estimate_lag:
+        expected = "--lag-s, how late they are, as estimated of single beams without [[sensors]]"
+        raise InputError("--estimate-lag with sensors of many rays", expected, path)
+    with in_file(path):
+        log = joined_tables(path, given, rig.sensor, needed=False)
+        labels, chosen, warnings = targets_of(log, given)
+        kept = np.flatnonzero(chosen)
+        R, t = hand_poses(log.poses.posed, log.way, given)
+        names = tuple(log.names[i] for i in kept.tolist())
+        stations = StationList(R[kept], t[kept], tuple(labels[i] for i in kept.tolist()), names)
+    poses, readings = log.poses, log.readings
+    number = np.full(len(log.names) + 1, -1)
+    number[kept] = np.arange(len(kept))
+    station = number[log.station]
+    ranges, _, _, repeated = averaged(readings.ranges, station, len(kept), given.average)
+    lines = how_joined(log, given, repeated)
+    if readings.beams:
+        lines += (f"{some(readings.beams, 4)} in {UNIT_WORDS[given.range_units]}",)
+        warnings = (
+            *readings.code_warnings(station >= 0),
+            *warnings,
+            *odd_readings(readings.ranges, station, names, given.average),
+        )
+    of_rows = poses.warnings if readings is poses else (*poses.warnings, *readings.warnings)
+    return _LogStations(
+        stations,
+        poses.posed[log.way.row[log.way.start]][kept],
+        ranges if readings.beams else None,
+        readings.beams,
+        lines,
+        (*of_rows, *log.warnings, *warnings),
+    )

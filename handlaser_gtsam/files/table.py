@@ -297,8 +297,10 @@ def column_numbers(
     if empty:
         wrong &= ~cells.is_null().to_numpy()
     expected = "a finite number" + (" or an empty cell" if empty else "")
-    if wrong.any() and "," in str(cells[int(wrong.argmax())]):
-        expected += "; write decimals with a point"
+    first = str(cells[int(wrong.argmax())]) if wrong.any() else ""
+    if "," in first:
+        remedy = "remove separators of thousands" if "." in first else "write decimals with a point"
+        expected += f"; {remedy}"
     table.refuse(wrong, name, expected)
     return values
 

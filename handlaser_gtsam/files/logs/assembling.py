@@ -84,24 +84,37 @@ def assembled(
     doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, given)
     recording = replace(recording, warnings=(*recording.warnings, *doubts))
     scatter_of = zip(readings.beams, scatters[1:].tolist(), strict=True)
-    words = environment(__package__, count=count).get_template("log.j2")
-    lines = words.render(
-        log=log,
-        recording=recording,
-        readings=int((~np.isnan(recording.ranges)).sum()),
-        repeated=repeated,
-        scatter=scatter,
-        given=given,
-    )
+    sizes = {"station": len(rows), "beam": len(readings.beams)}
+    sizes["plane"] = len(recording.plane_names)
+    sizes["reading"] = int((~np.isnan(recording.ranges)).sum())
+    first = ", ".join(count(number, noun) for noun, number in sizes.items())
     return LogReport(
         recording,
         scatter,
         {name: x for name, x in scatter_of if not math.isnan(x)},
         log.lag[0],
         log.lag[1] or None,
-        tuple(filter(None, lines.splitlines())),
+        (first, *how_joined(log, given, repeated, scatter)),
         tuple(path for path in given.files if path is not None),
     )
+
+
+def how_joined(
+    log: JoinedStations, given: LogFormat, repeated: int, scatter: float | None = None
+) -> tuple[str, ...]:
+    """Return lines on how stations and readings came about.
+
+    Parameters
+    ----------
+    log, given
+    repeated : int
+        Readings that were averaged.
+    scatter : float, optional
+        Standard deviation of one of them [m], where it may be taken as range sigma.
+    """
+    words = environment(__package__).get_template("log.j2")
+    lines = words.render(log=log, given=given, repeated=repeated, scatter=scatter)
+    return tuple(filter(None, lines.splitlines()))
 
 
 def targets_of(

@@ -76,6 +76,12 @@ def unit_of(name: str) -> str:
     return {"°": "deg", "µs": "us", "inch": "in"}.get(unit, unit)
 
 
+def names_ranges(given: LogFormat, names: Sequence[str] = ()) -> bool:
+    """Tell whether columns of ranges are stated, or are among some names as range_NAME."""
+    usual = any(name.lower().startswith(RANGE) for name in names)
+    return usual or bool(given.range_columns or given.beam_column)
+
+
 def columns_of(
     table: FileTable, given: LogFormat, *, poses: bool = True, readings: bool = True
 ) -> Columns:

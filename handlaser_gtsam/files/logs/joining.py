@@ -131,11 +131,7 @@ def by_station(poses: LogRows, readings: LogRows) -> JoinedStations:
         A label twice among the poses, or none in common.
     """
     names = poses.names
-    twice = first_repeated(names)
-    if twice is not None:
-        wrong, found = np.arange(len(names)) == twice, f"station {names[twice]!r} again"
-        column, expected = poses.columns.station, "every station once among the poses"
-        poses.table.refuse(wrong, column, expected, found)
+    refuse_twice(poses)
     number = {name: i for i, name in enumerate(names)}
     station = np.array([number.get(name, -1) for name in readings.names], dtype=np.intp)
     if (station < 0).all():
@@ -165,6 +161,21 @@ def by_station(poses: LogRows, readings: LogRows) -> JoinedStations:
         _unmatched(station >= 0, "have a station without a pose"),
         f"{len(names)} poses and {len(station)} rows of readings, joined by station",
     )
+
+
+def refuse_twice(poses: LogRows) -> None:
+    """Refuse poses of which two have one label.
+
+    Raises
+    ------
+    InputError
+    """
+    names = poses.names
+    twice = first_repeated(names)
+    if twice is not None:
+        wrong, found = np.arange(len(names)) == twice, f"station {names[twice]!r} again"
+        column, expected = poses.columns.station, "every station once among the poses"
+        poses.table.refuse(wrong, column, expected, found)
 
 
 def _unmatched(near: BoolArray, what: str) -> tuple[CalibrationWarning, ...]:

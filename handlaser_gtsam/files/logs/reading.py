@@ -15,9 +15,16 @@ from ..table import read_table
 from ..writing import path_of
 from .assembling import assembled
 from .bags import METADATA, BeamTopics, is_bag, read_messages
-from .columns import columns_of, formats_in
+from .columns import columns_of, formats_in, names_ranges
 from .format import LogFormat, LogReport
-from .joining import JoinedStations, by_station, by_time, one_table, refuse_other_units
+from .joining import (
+    JoinedStations,
+    by_station,
+    by_time,
+    one_table,
+    refuse_other_units,
+    refuse_twice,
+)
 from .rows import rows_of
 from .tables import FOREIGN, WORKBOOKS, read_log_table
 
@@ -99,7 +106,7 @@ def describe_log(
             in_time = replace(given, stands=not given.interpolate)
             stations = by_time(poses, beams.rows(path), in_time)
         else:
-            stations = _of_tables(path, given, sensor)
+            stations = joined_tables(path, given, sensor)
         return assembled(stations, given, sensor, range_sigma)
 
 
@@ -148,20 +155,38 @@ def missing_columns_hint(error: InputError) -> str:
     return f"; or --pose-format {'|'.join(formats)}, whose columns are there" if formats else ""
 
 
-def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> JoinedStations:
-    _refuse_stated(given, OF_BAGS, "a table", path)
+def joined_tables(
+    path: Path, given: LogFormat, sensor: Sensor, *, needed: bool = True
+) -> JoinedStations:
+    """Return the stations of a table, or of two, with their poses and readings.
+
+    Parameters
+    ----------
+    path, given, sensor
+        As of `read_log`.
+    needed : bool
+        Whether there must be columns of ranges, also where none are stated or named so.
+
+    Raises
+    ------
+    InputError
+    """
+    refuse_stated(given, OF_BAGS, "a table", path)
     books = [one for one in (path, given.readings) if one and one.suffix.lower() in WORKBOOKS]
-    _refuse_stated(given, () if books else ("sheet",), "a file that is no workbook", path)
+    refuse_stated(given, () if books else ("sheet",), "a file that is no workbook", path)
     if not given.stands:
-        _refuse_stated(given, OF_STANDS, "a log without --stands", path)
+        refuse_stated(given, OF_STANDS, "a log without --stands", path)
     table = read_log_table(path, given)
-    columns = columns_of(table, given, readings=given.readings is None)
+    here = given.readings is None and (needed or names_ranges(given, table.frame.columns))
+    columns = columns_of(table, given, readings=here)
     if given.readings is None:
         in_time = bool(given.stands or given.interpolate or given.lag_s or given.estimate_lag)
-        _refuse_stated(given, OF_READINGS_APART, "a log without --readings", path)
+        refuse_stated(given, OF_READINGS_APART, "a log without --readings", path)
         if not in_time:
-            _refuse_stated(given, OF_TIMES, "one table that is read row by row", path)
+            refuse_stated(given, OF_TIMES, "one table that is read row by row", path)
         rows = rows_of(table, columns, given, sensor, in_time=in_time)
+        if not (here or in_time):
+            refuse_twice(rows)
         return by_time(rows, rows, given) if in_time else one_table(rows, given)
     # The second file has no poses: what is stated of these says nothing of its header.
     second = replace(
@@ -180,7 +205,7 @@ def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> JoinedStations:
     poses = rows_of(table, columns, given, sensor, in_time=in_time)
     readings = rows_of(other, others, second, sensor, in_time=in_time)
     if not in_time:
-        _refuse_stated(given, OF_TIMES, "tables that are joined by station", path)
+        refuse_stated(given, OF_TIMES, "tables that are joined by station", path)
         return by_station(poses, readings)
     refuse_other_units(poses, readings, given)
     return by_time(poses, readings, given)
@@ -194,10 +219,10 @@ def refuse_of_a_bag(given: LogFormat, path: Path, more: Sequence[str] = ()) -> N
     InputError
     """
     if not path.is_dir() or (path / METADATA).is_file():  # any other folder is refused as none
-        _refuse_stated(given, (*OF_TABLES, *more), "a bag", path)
+        refuse_stated(given, (*OF_TABLES, *more), "a bag", path)
 
 
-def _refuse_stated(given: LogFormat, names: Sequence[str], what: str, path: Path) -> None:
+def refuse_stated(given: LogFormat, names: Sequence[str], what: str, path: Path) -> None:
     """Refuse fields that are stated and say nothing of a kind of log."""
     plain = LogFormat()
     for name in names:
