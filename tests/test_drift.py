@@ -237,7 +237,7 @@ def test_a_plane_that_was_itself_moved_does_no_harm():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("degrees", [1.0, 5.0, 10.0, 12.0, 15.0, 20.0, 30.0])
+@pytest.mark.parametrize("degrees", [1.0, 5.0, 12.0, 30.0])
 def test_a_large_displacement_is_named_too(degrees):
     recording, truth = displaced(turn=math.radians(degrees))
     session, updates = fed(recording)
