@@ -54,12 +54,14 @@ def test_the_oldest_and_the_newest_python_are_those_of_the_first_and_last_claim(
 def test_the_tests_where_a_version_shows_are_there():
     """A file that is gone would end the gate after minutes."""
     gate = (ROOT / ".ci" / "run").read_text()
-    (named,) = re.findall(r"^VERSIONS=\(.*?\)$", gate, flags=re.DOTALL | re.MULTILINE)
+    named = re.findall(r"^(?:PYTHONS|VERSIONS)=\(.*?\)$", gate, flags=re.DOTALL | re.MULTILINE)
+    lists = "\n".join((*named, 'printf "%s\\n" "${PYTHONS[@]}" "${VERSIONS[@]}"'))
     expanded = subprocess.run(
-        ["bash", "-c", f'{named}; printf "%s\\n" "${{VERSIONS[@]}}"'],
+        ["bash", "-c", lists],
         capture_output=True,
         text=True,
         check=True,
     ).stdout.split()
+    assert len(named) == 2
     assert len(expanded) > 20
     assert [name for name in expanded if not (ROOT / name).is_file()] == []
