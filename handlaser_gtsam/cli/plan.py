@@ -67,8 +67,9 @@ def plan(
     recording : Path, optional
         What was recorded so far: a recording, CSV, or a log; it is calibrated first.
     calibration : Path, optional
-        Result of `handlaser calibrate --out`, of beams before planes, instead of RECORDING. What it says
-        of the planes is their place only: stations before them count as before planes that were moved.
+        Result of `handlaser calibrate --out`, of beams before planes, instead of RECORDING. What it
+        says of the planes is their place only: stations before them count as before planes that were
+        moved.
     planes : int, optional
         Times to move the plate, to orientations that are part of the plan; default: before the planes
         as they stand.

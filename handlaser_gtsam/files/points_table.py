@@ -144,7 +144,7 @@ def read_points(
         parts.append(points)
         units = named
     codes: Codes = {}
-    doubled = np.empty(0, dtype=np.intp)
+    doubled: IntArray = np.empty(0, dtype=np.intp)
     if parts:
         station = np.concatenate([at for at, _ in parts])
         numbers = np.concatenate([points for _, points in parts])
@@ -171,8 +171,8 @@ def read_points(
         lines.append(f"{AWAITED} {some(awaited, 4)}, whose points are there")
     if kind == "array":
         return _of_echoes(station, numbers, echo), units, codes, doubled, tuple(lines)
-    points = station, numbers, np.full(len(numbers), np.nan)
-    return points, units, codes, doubled, tuple(lines)
+    all_points = station, numbers, np.full(len(numbers), np.nan)
+    return all_points, units, codes, doubled, tuple(lines)
 
 
 def without_copies(station: IntArray, numbers: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:

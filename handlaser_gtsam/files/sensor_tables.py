@@ -174,8 +174,8 @@ class SurveyTables:
             found = read_bag_points(path, given, wanted)
             shots, warnings = [], list(found.warnings)
             for table, published in zip(self.sensors, found.points, strict=True):
-                *once, doubled = without_copies(*published)
-                station, numbers, codes = without_codes(*once)
+                station, numbers, doubled = without_copies(*published)
+                station, numbers, codes = without_codes(station, numbers)
                 names = found.stations.station_names
                 warnings += _copy_warnings(table, published[0], doubled, names)
                 warnings += _code_warnings(table, codes)
@@ -313,7 +313,7 @@ def _copy_warnings(
     if not len(doubled):
         return []
     values: Values = {"sensor": table.name, "stations": len(np.unique(station))}
-    values |= {"repeated": len(doubled), "first": names[int(doubled[0])]}
+    values = {**values, "repeated": len(doubled), "first": names[int(doubled[0])]}
     return [warned("repeated-stations:points", values)]
 
 
