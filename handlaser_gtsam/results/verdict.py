@@ -203,12 +203,12 @@ def better_sigmas(times: float) -> Improvement:
     return improvement_of("sigmas", times)
 
 
-def of_share(code: str, share: float, by_pose: SizesByPose | None) -> Improvement:
-    """Return what lowers a share of the variance; of errors of the hand, what readings say of them."""
+def of_share(worst: str, share: float, by_pose: SizesByPose | None) -> Improvement:
+    """Return what lowers the largest share of the variance, given errors that change with the pose."""
     percent = IN_PERCENT * min(share, 0.99)
-    if code == "poses" and by_pose is not None and by_pose.doubt_the_stated:
+    if worst == "poses" and by_pose is not None and by_pose.doubt_the_stated:
         return improvement_of("poses:stated", share, percent=percent, growth=by_pose.growth)
-    return improvement_of(code, share, percent=percent)
+    return improvement_of(worst, share, percent=percent)
 
 
 @dataclass(frozen=True, slots=True)
