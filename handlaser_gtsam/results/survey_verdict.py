@@ -162,8 +162,10 @@ def _improvement(
     if FALSE_RELATION in warnings:
         return improvement_of(FALSE_RELATION)
     if DISPLACED in warnings:
-        moved = warnings[DISPLACED].values
-        return improvement_of(DISPLACED, target=moved["target"], station=moved["station"])
+        target, station = (warnings[DISPLACED].values[of] for of in ("target", "station"))
+        of_mount = target in {one.subject for one in result.mounts}
+        whose = "" if target in result.targets else ":mount" if of_mount else ":hand"
+        return improvement_of(f"{DISPLACED}{whose}", target=target, station=station)
     for one in named:
         return improvement_of("range-error", sensor=one.values["sensor"], free=one.values["free"])
     if any(ambiguous(result.warnings)):
