@@ -489,6 +489,24 @@ def test_where_half_of_the_shots_are_lost_nothing_is_usable(about):
         assert calibrated(0).usable
 
 
+@pytest.mark.slow
+def test_one_shot_of_a_ball_that_counts_does_not_hide_that_z_is_reversed():
+    """Of many stations before plates the lost ones are a small part; one shot is taken for a ball."""
+    rig = rigs_by_rays.profiler(1, targets="planes+sphere", planes=2, spheres=1, stations=8)
+    reversed_z = turned_round(survey_of(rig), 0.0)
+    shots, ball = reversed_z.shots[0], rig.label.index("sphere:S1")
+    bulge = np.sqrt(0.2**2 - shots.across[:, 0] ** 2) - 0.2
+    reading = np.where(shots.station == ball, bulge - 0.1, shots.reading)
+    one = hl.Shots.profiler(shots.name, shots.station, shots.across[:, 0], reading)
+    found, check = (
+        verb(replace(reversed_z, shots=(one,))) for verb in (hl.calibrate, check_survey)
+    )
+    assert found.verdict.code == "no-fit"
+    assert check.doubt == found.message
+    for words in (found.message, found.verdict.best.words):
+        assert words.endswith("grows towards the sensor, reverse its sign")
+
+
 def test_a_ball_that_is_turned_inside_out_is_not_called_a_plane():
     """Few points of it fit a plane within their noise: the label is right, and z has the wrong sign."""
     survey = turned_round(cell(0), 0.0)

@@ -90,19 +90,20 @@ def misread(rows: SurveyRows, noise: Noise) -> Iterator[CalibrationWarning]:
     for label, better in better_kinds(rows.survey, noise).items():
         kind, _, name = label.partition(":")
         values = {"target": label, "kind": kind, "better": better}
-        towards = "; ".join(counted_towards(rows)) if kind == SPHERE.name else ""
+        towards = "; ".join(counted_towards(rows).values()) if kind == SPHERE.name else ""
         if towards:
             yield warned("target-kind:towards", values, towards=towards)
         else:
             yield warned("target-kind", {**values, "label": f"{better}:{name}"})
 
 
-def counted_towards(rows: SurveyRows) -> Iterator[str]:
-    """Yield what to try of profilers whose shots show balls only where z grows towards the sensor.
+def counted_towards(rows: SurveyRows) -> dict[int, str]:
+    """Return what to try of profilers whose shots show balls only where z grows towards the sensor.
 
-    A shape in a profile is the same wherever it is along z, so that z is reversed about its own middle.
+    Keys are the numbers of these sensors. A shape in a profile is the same wherever it is along z, so
+    that z is reversed about its own middle.
     """
-    labels = rows.survey.stations.plane_labels
+    labels, found = rows.survey.stations.plane_labels, {}
     for member, shots in enumerate(rows.survey.shots):
         before = [at for i, at in rows.lost if i == member and kind_of(labels[at]) == SPHERE.name]
         met = sum(i.member == member and i.target[0] == SPHERE.name for i in rows.items)
@@ -112,7 +113,8 @@ def counted_towards(rows: SurveyRows) -> Iterator[str]:
         tables = [(shots.across[shots.station == s], turned[shots.station == s]) for s in before]
         shown = condensed_shots(KINDS[shots.kind], SPHERE.name, tables, Stated(sigma=shots.sigma))
         if sum(shot is not None for shot in shown) > 0.5 * len(before):
-            yield f"if z of {shots.name} grows towards the sensor, reverse its sign"
+            found[member] = f"if z of {shots.name} grows towards the sensor, reverse its sign"
+    return found
 
 
 def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
@@ -294,9 +296,9 @@ def unconfirmed(
     """Warn of sensors that lose more shots than may be rejected, where the rest does not confirm them.
 
     It confirms them where the shots of every target that count say more than the unknowns of that
-    target. Fewer lost shots are too many where no shot of a target counts, and no other target could
-    show what is wrong: planes look alike from a sensor that is read inside out, spheres do not.
-    `causes` say of the shots why they are lost.
+    target. Fewer lost shots are too many where they show their ball with z reversed, or where no shot
+    of a target counts, and no other target could show what is wrong: planes look alike from a sensor
+    that is read inside out, spheres do not. `causes` say of the shots why they are lost.
     """
     labels = [normal_label(label) for label in rows.survey.stations.plane_labels]
     numbers = Counter[str]()
@@ -304,13 +306,16 @@ def unconfirmed(
         numbers[labels[item.station]] += item.numbers
     told = {label for label in numbers if numbers[label] > FAMILIES.get(kind_of(label), PLANE).dim}
     round_told = any(kind_of(label) == SPHERE.name for label in told)
+    turned = counted_towards(rows)
     for member, shots in enumerate(rows.survey.shots):
         lost = [labels[at] for own, at in rows.lost if own == member]
         total = len(np.unique(shots.station))
+        balls = [one for one in dict.fromkeys(lost) if kind_of(one) == SPHERE.name]
         open_ = [label for label in dict.fromkeys(lost) if label not in told]
-        if len(lost) <= MOST_REJECTED * total:
-            gone = (label for label in open_ if not numbers[label])
-            open_ = [one for one in gone if kind_of(one) == SPHERE.name and not round_told]
+        if member in turned:
+            open_ = balls
+        elif len(lost) <= MOST_REJECTED * total:
+            open_ = [] if round_told else [one for one in balls if not numbers[one]]
         if open_:
             targets, what = some(open_, NAMES_IN_LINE), "; ".join(one.message for one in causes)
             values: Values = {"sensor": shots.name, "lost": len(lost), "targets": targets}

@@ -269,7 +269,7 @@ def unread_stations(rows: SurveyRows) -> Iterator[CalibrationWarning]:
         targets = some([one for one in lost_labels if one not in counted], NAMES_IN_LINE)
         gone = {"targets": targets} if targets else {}
         uncounted = f", so that no shot of {targets} counts" if targets else ""
-        more = "".join(f"; {one}" for one in counted_towards(rows))
+        more = "".join(f"; {one}" for one in counted_towards(rows).values())
         values: Values = {"shots": len(lost), "names": some(listed, NAMES_IN_LINE), **gone}
         with_few = count(len(lost), "shot")
         yield warned("too-few-points", values, lost=with_few, uncounted=uncounted, more=more)
