@@ -168,8 +168,8 @@ def _improvement(
     if DISPLACED in warnings:
         target, station = (warnings[DISPLACED].values[of] for of in ("target", "station"))
         of_mount = target in {one.subject for one in result.mounts}
-        whose = "" if target in result.targets else ":mount" if of_mount else ":hand"
-        return improvement_of(f"{DISPLACED}{whose}", target=target, station=station)
+        whose = "target" if target in result.targets else "mount" if of_mount else "hand"
+        return improvement_of(f"{DISPLACED}:{whose}", target=target, station=station)
     for one in named:
         return improvement_of("range-error", sensor=one.values["sensor"], free=one.values["free"])
     if any(ambiguous(result.warnings)):
