@@ -212,9 +212,36 @@ def test_a_label_of_its_own_whose_shot_fits_another_target_is_named(wrong, right
     shots = survey.shots[0]
     nearer = shots.reading - np.where(shots.station == 8, 0.05, 0.0)
     other = hl.Shots.profiler("profiler", shots.station, shots.across[:, 0], nearer)
-    assert "misspelt-label" not in {
+    assert not {"misspelt-label", "undetermined-label"} & {
         one.code for one in hl.calibrate(replace(survey, shots=(other,))).warnings
     }
+
+
+@pytest.mark.parametrize(
+    ("label", "nearer", "named"),
+    [
+        ("plane:plaet", 0.0, True),
+        ("plane:plaet", 0.003, False),
+        ("plane:plate 2", 0.0, False),
+        ("plane:door", 0.0, False),
+    ],
+)
+def test_a_misspelt_label_of_a_target_that_is_determined_is_named(label, nearer, named):
+    """Numbers and other words tell labels apart, and so does another place."""
+    survey = cell(1, labels=[(7, label), (8, label)])
+    shots = survey.shots[0]
+    reading = shots.reading - nearer * np.isin(shots.station, (7, 8))
+    shots = hl.Shots.profiler("profiler", shots.station, shots.across[:, 0], reading)
+    verb = hl.calibrate if named else check_survey
+    found = verb(replace(survey, shots=(shots,)))
+    warnings = [one for one in found.warnings if one.code == "misspelt-label"]
+    values = {"target": label, "other": "plane:plate"}
+    assert [one.values for one in warnings] == [values] * named
+    if named:
+        assert found.verdict.code == "usable-with-care"
+        (same,) = check_survey(survey).warnings
+        assert same.message == warnings[0].message
+        assert same.message.startswith(f"2 stations of {label}; a misspelt plane:plate?")
 
 
 @pytest.mark.slow

@@ -41,6 +41,7 @@ from .survey_misfit import (
     implausible,
     mislabelled,
     misread,
+    misspelt,
     no_fit,
     unconfirmed,
     with_causes,
@@ -190,7 +191,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
             fits = fits or learned.fits
             warnings = (*warnings, *contradictions(learned.tests))
     if fits:
-        warnings = (*warnings, *many_rejected(settled))
+        warnings = (*warnings, *misspelt(state, found), *many_rejected(settled))
     else:
         warnings = (no_fit(rows, first, causes, noise), *warnings)
     another = unconfirmed_mount(rows)

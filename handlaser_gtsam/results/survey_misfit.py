@@ -51,7 +51,7 @@ from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, ROUGH_CUT, WIDEST_CONE
 from ..text import count, some
 from .lines import NAMES_IN_LINE
 from .messages import Values, said, warned
-from .warnings import DISPLACED, IMPLAUSIBLE
+from .warnings import DISPLACED, IMPLAUSIBLE, much_alike
 
 NO_FIT = "no-fit"
 """Code of the warning that most shots do not fit each other."""
@@ -60,7 +60,7 @@ FALSE_RELATION = "relation-contradicted"
 MISREAD = (
     "convention",
     "target-kind",
-    "misspelt-label",
+    "undetermined-label",
     "half-angle",
     "behind-echo",
     "beside-ball",
@@ -331,27 +331,52 @@ def mislabelled(state: SurveyState, found: Estimate) -> Iterator[CalibrationWarn
         At the values of the estimate.
     found : Estimate
     """
-    rows = state.rows
-    seen = [item.target for item in rows.items]
-    targets = dict.fromkeys(seen)
-    stations = {one: len({i.station for i in rows.items if i.target == one}) for one in targets}
-    known = {one for one in targets if np.isfinite(found.marginal(*one)).all()}
-    for target in targets.keys() - known:
-        own = np.array([one == target for one in seen])
+    rows, stations = state.rows, _stations_of(state.rows)
+    known = {one for one in stations if np.isfinite(found.marginal(*one)).all()}
+    for target in stations.keys() - known:
         misfit: dict[str, float] = {}
         for other in known:
             if other[0] == target[0] and stations[other] > stations[target]:
-                items = [replace(i, target=other) if i.target == target else i for i in rows.items]
-                renamed = replace(state, rows=replace(rows, items=tuple(items)))
-                misfit[rows.label(other)] = float(np.median(renamed.misfits()[own]))
+                misfit[rows.label(other)] = _misfit_as(state, target, other)
         best = min(misfit, key=lambda label: misfit[label], default="")
         if best and misfit[best] < GROSS:
             label = rows.label(target)
             how = "a misspelt" if get_close_matches(label, [best]) else "another name of"
             values: Values = {"target": label, "other": best}
-            yield warned(
-                "misspelt-label", values, stations=count(stations[target], "station"), how=how
-            )
+            how_many = count(stations[target], "station")
+            yield warned("undetermined-label", values, stations=how_many, how=how)
+
+
+def misspelt(state: SurveyState, found: Estimate) -> Iterator[CalibrationWarning]:
+    """Warn of labels that few stations have, much like another one whose target their shots fit.
+
+    These targets are determined; of others `mislabelled` warns. Parameters are as there.
+    """
+    rows, stations = state.rows, _stations_of(state.rows)
+    for family in rows.targets:
+        own = [one for one in stations if one[0] == family]
+        own = [one for one in own if np.isfinite(found.marginal(*one)).all()]
+        names = [rows.label(one).rpartition(":")[2] for one in own]
+        for few, other in much_alike(names, [stations[one] for one in own]):
+            if _misfit_as(state, own[few], own[other]) < FAR_SIGMAS:
+                values: Values = {"target": rows.label(own[few]), "other": rows.label(own[other])}
+                how_many = count(stations[own[few]], "station")
+                yield warned("misspelt-label:survey", values, stations=how_many)
+
+
+def _stations_of(rows: SurveyRows) -> dict[Entity, int]:
+    """Return how many stations each target has."""
+    pairs = {(item.target, item.station) for item in rows.items}
+    return Counter(target for target, _ in pairs)
+
+
+def _misfit_as(state: SurveyState, target: Entity, other: Entity) -> float:
+    """Return the typical misfit of the shots of a target, if they are of another one [sigmas]."""
+    rows = state.rows
+    own = np.array([item.target == target for item in rows.items])
+    items = [replace(i, target=other) if i.target == target else i for i in rows.items]
+    renamed = replace(state, rows=replace(rows, items=tuple(items)))
+    return float(np.median(renamed.misfits()[own]))
 
 
 def implausible(rows: SurveyRows, values: Mapping[str, FloatArray]) -> Iterator[CalibrationWarning]:

@@ -64,6 +64,7 @@ from .survey_misfit import (
     misheard,
     mislabelled,
     misread,
+    misspelt,
     no_fit,
     pulled,
     unconfirmed,
@@ -116,6 +117,7 @@ def survey_warnings(
             yield warned("zones-err", {"sensor": shots.name, "size": size})
     yield from _sigmas(found)
     if found.fits:
+        yield from misspelt(found.ended(), found.estimate)
         if len(beams) > 1:
             yield from _rough_beam(found)
         usual, stated = usual_noise(found.rows, found.given).pose, found.stated.pose
