@@ -424,6 +424,46 @@ def test_wrong_labels_are_found_beside_beams():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
+    ("stations", "at_the_start"), [(range(9), True), ((0, 1), True), ((0, 1), False)]
+)
+def test_beams_that_read_what_is_behind_the_ball_of_a_profiler_are_named(
+    stations, at_the_start, monkeypatch
+):
+    """The ball was refused, or nothing fitted: the profiler is right, and so are other readings."""
+    if not at_the_start:
+        module = "handlaser_gtsam.estimation.survey"
+        monkeypatch.setattr(f"{module}._begun_off_balls", lambda *_: None)
+    rig = rigs_by_rays.mixed(
+        1, sensors=("profiler", "beam", "beam"), targets="planes+sphere", planes=2, stations=3
+    )
+    survey = survey_of(rig)
+    ball = np.flatnonzero([one == "sphere:S1" for one in rig.label])
+    R, t, centre = rig.R[ball], rig.t[ball], rig.truth["targets"]["sphere:S1"]["centre"]
+    ranges = np.array(survey.ranges)
+    ranges[ball] = np.nan
+    for member, name in enumerate(survey.beam_names):
+        start, v = R @ rig.truth[name]["location"] + t, R @ rig.truth[name]["direction"]
+        n = v.mean(axis=0) / np.linalg.norm(v.mean(axis=0))
+        behind = (centre + 0.05 * n - start) @ n / (v @ n)
+        ranges[ball[list(stations)], member] = behind[list(stations)]
+    wrong = replace(survey, ranges=ranges)
+    found = hl.calibrate(wrong)
+    assert found.verdict.code == "usable-with-care"
+    named = [one.values for one in found.warnings if one.code == "off-target"]
+    values = {"target": "sphere:S1", "readings": len(stations)}
+    assert named == [{"beam": name, **values} for name in survey.beam_names]
+    assert [one.reason for one in found.rejected] == ["off-target"] * 2 * len(stations)
+    assert check_survey(wrong).doubt is None
+    # The rest counts as it does where those cells are empty.
+    ranges[ball] = np.nan
+    right = hl.calibrate(replace(survey, ranges=ranges))
+    for name, sensor in {**found.sensors, **found.beams}.items():
+        same = {**right.sensors, **right.beams}[name]
+        assert np.abs(sensor.location - same.location).max() < 0.1 * sensor.location_sigma.max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
     ("sensors", "seed"), [(("profiler",), 2), (("profiler", "beam", "beam"), 1)]
 )
 def test_labels_exchanged_before_two_planes_are_found(sensors, seed):
