@@ -214,9 +214,36 @@ def test_a_label_of_its_own_whose_shot_fits_another_target_is_named(wrong, right
     shots = survey.shots[0]
     nearer = shots.reading - np.where(shots.station == 8, 0.05, 0.0)
     other = hl.Shots.profiler("profiler", shots.station, shots.across[:, 0], nearer)
-    assert "misspelt-label" not in {
+    assert not {"misspelt-label", "undetermined-label"} & {
         one.code for one in hl.calibrate(replace(survey, shots=(other,))).warnings
     }
+
+
+@pytest.mark.parametrize(
+    ("label", "nearer", "named"),
+    [
+        ("plane:plaet", 0.0, True),
+        ("plane:plaet", 0.003, False),
+        ("plane:plate 2", 0.0, False),
+        ("plane:door", 0.0, False),
+    ],
+)
+def test_a_misspelt_label_of_a_target_that_is_determined_is_named(label, nearer, named):
+    """Numbers and other words tell labels apart, and so does another place."""
+    survey = cell(1, labels=[(7, label), (8, label)])
+    shots = survey.shots[0]
+    reading = shots.reading - nearer * np.isin(shots.station, (7, 8))
+    shots = hl.Shots.profiler("profiler", shots.station, shots.across[:, 0], reading)
+    verb = hl.calibrate if named else check_survey
+    found = verb(replace(survey, shots=(shots,)))
+    warnings = [one for one in found.warnings if one.code == "misspelt-label"]
+    values = {"target": label, "other": "plane:plate"}
+    assert [one.values for one in warnings] == [values] * named
+    if named:
+        assert found.verdict.code == "usable-with-care"
+        (same,) = check_survey(survey).warnings
+        assert same.message == warnings[0].message
+        assert same.message.startswith(f"2 stations of {label}; a misspelt plane:plate?")
 
 
 @pytest.mark.slow
@@ -399,6 +426,46 @@ def test_wrong_labels_are_found_beside_beams():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
+    ("stations", "at_the_start"), [(range(9), True), ((0, 1), True), ((0, 1), False)]
+)
+def test_beams_that_read_what_is_behind_the_ball_of_a_profiler_are_named(
+    stations, at_the_start, monkeypatch
+):
+    """The ball was refused, or nothing fitted: the profiler is right, and so are other readings."""
+    if not at_the_start:
+        module = "handlaser_gtsam.estimation.survey"
+        monkeypatch.setattr(f"{module}._begun_off_balls", lambda *_: None)
+    rig = rigs_by_rays.mixed(
+        1, sensors=("profiler", "beam", "beam"), targets="planes+sphere", planes=2, stations=3
+    )
+    survey = survey_of(rig)
+    ball = np.flatnonzero([one == "sphere:S1" for one in rig.label])
+    R, t, centre = rig.R[ball], rig.t[ball], rig.truth["targets"]["sphere:S1"]["centre"]
+    ranges = np.array(survey.ranges)
+    ranges[ball] = np.nan
+    for member, name in enumerate(survey.beam_names):
+        start, v = R @ rig.truth[name]["location"] + t, R @ rig.truth[name]["direction"]
+        n = v.mean(axis=0) / np.linalg.norm(v.mean(axis=0))
+        behind = (centre + 0.05 * n - start) @ n / (v @ n)
+        ranges[ball[list(stations)], member] = behind[list(stations)]
+    wrong = replace(survey, ranges=ranges)
+    found = hl.calibrate(wrong)
+    assert found.verdict.code == "usable-with-care"
+    named = [one.values for one in found.warnings if one.code == "off-target"]
+    values = {"target": "sphere:S1", "readings": len(stations)}
+    assert named == [{"beam": name, **values} for name in survey.beam_names]
+    assert [one.reason for one in found.rejected] == ["off-target"] * 2 * len(stations)
+    assert check_survey(wrong).doubt is None
+    # The rest counts as it does where those cells are empty.
+    ranges[ball] = np.nan
+    right = hl.calibrate(replace(survey, ranges=ranges))
+    for name, sensor in {**found.sensors, **found.beams}.items():
+        same = {**right.sensors, **right.beams}[name]
+        assert np.abs(sensor.location - same.location).max() < 0.1 * sensor.location_sigma.max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
     ("sensors", "seed"), [(("profiler",), 2), (("profiler", "beam", "beam"), 1)]
 )
 def test_labels_exchanged_before_two_planes_are_found(sensors, seed):
@@ -489,6 +556,24 @@ def test_where_half_of_the_shots_are_lost_nothing_is_usable(about):
     else:
         assert (again.shots[0].reading == cell(0).shots[0].reading).all()
         assert calibrated(0).usable
+
+
+@pytest.mark.slow
+def test_one_shot_of_a_ball_that_counts_does_not_hide_that_z_is_reversed():
+    """Of many stations before plates the lost ones are a small part; one shot is taken for a ball."""
+    rig = rigs_by_rays.profiler(1, targets="planes+sphere", planes=2, spheres=1, stations=8)
+    reversed_z = turned_round(survey_of(rig), 0.0)
+    shots, ball = reversed_z.shots[0], rig.label.index("sphere:S1")
+    bulge = np.sqrt(0.2**2 - shots.across[:, 0] ** 2) - 0.2
+    reading = np.where(shots.station == ball, bulge - 0.1, shots.reading)
+    one = hl.Shots.profiler(shots.name, shots.station, shots.across[:, 0], reading)
+    found, check = (
+        verb(replace(reversed_z, shots=(one,))) for verb in (hl.calibrate, check_survey)
+    )
+    assert found.verdict.code == "no-fit"
+    assert check.doubt == found.message
+    for words in (found.message, found.verdict.best.words):
+        assert words.endswith("grows towards the sensor, reverse its sign")
 
 
 def test_a_ball_that_is_turned_inside_out_is_not_called_a_plane():

@@ -69,6 +69,10 @@ def test_a_sensor_that_was_moved_is_named():
     (warning,) = [one for one in found.warnings if one.code == "displaced"]
     assert warning.values["target"] == "sensor p"
     assert warning.values["shift"] == pytest.approx(float(np.linalg.norm(move)), rel=0.15)
+    assert found.verdict.best.words == (
+        f"the stations before and after {warning.values['station']} calibrated apart, as sensor p was "
+        "moved there"
+    )
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("beams", 0), ("mixed", 2)])
@@ -83,6 +87,7 @@ def test_another_tool_frame_moves_all_mounts(kind, seed):
     assert warning.values["target"] == "all sensors"
     assert warning.values["shift"] == pytest.approx(float(np.linalg.norm(move)), rel=0.2)
     assert found.verdict.best.code == "displaced"
+    assert found.verdict.best.words.endswith("as the tool or its frame was moved there")
     assert hl.calibrate(rigs.survey_of(rig)).warnings == ()
 
 

@@ -7,7 +7,7 @@ because their points share what made them wrong; points within a shot were sorte
 condensed.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -20,9 +20,10 @@ from ..data.value import Value
 from ..errors import InputError
 from ..model.condensed_shots import Mixed, Unexplained
 from ..model.distributions import FAMILY_LEVEL, chi2_sf, f_sf
-from ..model.families import BEAM
+from ..model.families import BEAM, FAMILIES
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
+from ..model.targets.sphere import SPHERE
 from ..model.weighting import covariance_roots
 from ..quantities import IN_PERCENT, MEDIAN_TO_SIGMA, MM, MOST_ROUNDS, SAME_OPTIMUM
 from .dense import spanned, tests_of
@@ -56,10 +57,12 @@ from .survey_outliers import (
 from .survey_planes import with_planes_ahead
 from .survey_rows import (
     AIMING_SIGMA,
+    Entity,
     Item,
     SurveyRows,
     about_errors,
     blocks_of,
+    by_mount,
     continued_items,
     rows_of,
     without_grazing,
@@ -269,6 +272,12 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
         settled, doubtful = True, _doubtful(state)
         first = min(first, first_fit(state), key=lambda one: one.misfit)
         again, others = best_image(state, _settle_near)
+    seen = _without_off_target(state) if doubtful else None
+    if seen is not None and _settle_near(seen) and not _doubtful(seen):
+        state.take(seen)
+        settled, doubtful = True, []
+        first = min(first, first_fit(state), key=lambda one: one.misfit)
+        again, others = best_image(state, _settle_near)
     found = _judged(state)
     if found.status == "undetermined" and aim_freely(state):
         found = _judged(state)
@@ -384,7 +393,9 @@ def first_state(
     Where shots do not surely fit the start of a quick search, a thorough one follows. Where most do not
     fit that either, shots that see several planes may begin with wrong ones, and wrong labels pull a
     start of all to where none fits well: planes in the middle of the view are tried, then halves of the
-    shots. No start is sought where most agree beside an `earlier` estimate of the same sensors.
+    shots. No start is sought where most agree beside an `earlier` estimate of the same sensors. Beams
+    that do not see the balls of a sensor of many rays may keep all from fitting: without their readings
+    there, a quick search tells it.
 
     Raises
     ------
@@ -402,6 +413,9 @@ def first_state(
     quick = replace(state)
     if all_redundant(rows) and begin_quickly(quick, GROSS) and _surely_fits(quick):
         return quick
+    seen = _begun_off_balls(state)
+    if seen is not None:
+        return seen
     state.values, without = start_of(rows, state.sigmas())
     if without:
         names = ", ".join(f"{entity[0]} {rows.label(entity)}" for entity in without)
@@ -515,6 +529,64 @@ def _doubtful(state: SurveyState) -> list[str]:
         for name in _names(state.rows, item):
             shares.setdefault(name, []).append(bool(used))
     return [name for name, used in shares.items() if np.mean(used) < 1.0 - MOST_REJECTED]
+
+
+def _without_off_target(state: SurveyState) -> SurveyState | None:
+    """Return a state without the readings of beams at targets that they do not see; None for none.
+
+    A beam beside a profiler may read the table behind its ball. Of such a beam and target more than
+    `MOST_REJECTED` of the readings are rejected, while sensors of many rays, which lose no more of
+    their shots there, say more of the target than its unknowns, and the other readings more of the
+    beam. No sensor of many rays is excused like that: planes look alike from one that is read inside
+    out.
+    """
+    rows, shares = state.rows, defaultdict[tuple[Entity, Entity], list[bool]](list)
+    numbers = Counter[Entity]()
+    for item, used in zip(rows.items, state.used.tolist(), strict=True):
+        shares[item.mount, item.target].append(used)
+        if used and item.family == SENSOR.name:
+            numbers[item.target] += item.numbers
+    lost = {pair for pair, used in shares.items() if np.mean(used) < 1.0 - MOST_REJECTED}
+    unsure = {target for mount, target in lost if mount[0] == SENSOR.name}
+    sure = {one for one in numbers.keys() - unsure if numbers[one] > FAMILIES[one[0]].dim}
+    off = np.array([(i.mount, i.target) in lost and i.target in sure for i in rows.items])
+    left = Counter(item.mount for item in rows.counted(state.used & ~off))
+    if not off.any() or min(left[item.mount] for item in rows.counted(off)) <= BEAM.dim:
+        return None
+    items, off_target = tuple(rows.counted(~off)), (*rows.off_target, *rows.counted(off))
+    return replace(
+        state, rows=replace(rows, items=items, off_target=off_target), used=state.used[~off]
+    )
+
+
+def _begun_off_balls(state: SurveyState) -> SurveyState | None:
+    """Return a quick start without readings of beams at the balls of sensors; None if none fits.
+
+    All readings count again where they fit there; else those that do not are off their target.
+    """
+    rows, items = state.rows, state.rows.items
+    balls = {i.target for i in items if i.family == SENSOR.name and i.target[0] == SPHERE.name}
+    off = np.array([i.family == BEAM.name and i.target in balls for i in items])
+
+    def of(some: BoolArray) -> SurveyState:
+        own = replace(rows, items=tuple(rows.counted(some)))
+        return replace(state, rows=own, used=np.ones(len(own.items), dtype=bool))
+
+    part = of(~off)
+    if not (off.any() and begin_quickly(part, GROSS) and _surely_fits(part)):
+        return None
+    whole = replace(state, values=part.values)
+    leave_out_gross(whole)
+    if _surely_fits(whole):
+        return whole
+    begun = replace(state, values=part.values, used=~off)
+    begun.used[~off] = part.used
+    for mount in by_mount(rows.counted(off)):
+        # Each by itself: residuals at one station go together, as the error of the hand is common.
+        own = off & np.array([item.mount == mount for item in items])
+        alone = replace(of(own), values=part.values)
+        begun.used[own] = alone.misfits() <= GROSS
+    return _without_off_target(begun)
 
 
 def _some_relation_is_contradicted(state: SurveyState) -> bool:

@@ -132,6 +132,8 @@ class SurveyRows:
         Shots and readings that stand twice: they count once.
     errors : (S, 4)
         Range errors of the sensors, at which their shots are condensed.
+    off_target : tuple of Item
+        Readings of beams that do not see the targets of their stations: they are no items.
     """
 
     survey: Survey
@@ -143,6 +145,7 @@ class SurveyRows:
     stops: IntArray
     repeated: tuple[tuple[str, int], ...]
     errors: FloatArray
+    off_target: tuple[Item, ...] = ()
 
     @property
     def bodies(self) -> tuple[Known, ...]:

@@ -96,8 +96,9 @@ class Rejected:
     station, sensor, target : str
         Names; `sensor` is the beam where a beam read it, and `target` the plane or other target.
     reason : str
-        In words; of a survey `contradicted` by the others, `grazing` its sphere, `too-few-points`, or
-        `no-edge` of a groove of which no profile shows one.
+        In words; of a survey `contradicted` by the others, `grazing` its sphere, `off-target`
+        of a beam that does not see its target, `too-few-points`, or `no-edge` of a groove of which no
+        profile shows one.
     residual : float or None
         [m]; None of shots, and where there is none.
     """

@@ -4,10 +4,8 @@ The covariance grows here by what errors that are correlated in time make of it.
 """
 
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from difflib import get_close_matches
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -21,7 +19,7 @@ from ..estimation.scales import RANGE, NoiseComponent
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution, covariance_of_determined
 from ..model.equation import residuals_or_infinite
-from ..model.families import OF_DIRECTION, PLANE, count_unknowns
+from ..model.families import OF_DIRECTION, count_unknowns
 from ..model.joint import JointCovariance, strong_correlations
 from ..model.losses import GAUSSIAN
 from ..model.weighting import Variances
@@ -77,6 +75,7 @@ from .warnings import (
     large_range_errors,
     lost_of_beams,
     misfit,
+    much_alike,
     poor_fit,
     rival_warnings,
     suspicious,
@@ -383,27 +382,18 @@ def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, .
 def _misspelt_labels(
     problem: Problem, solution: Solution, fit: Fit
 ) -> Iterator[CalibrationWarning]:
-    """Warn of a label that few stations have, much like another one whose plane their readings fit.
-
-    These are no more stations than a plane has unknowns. Numbers tell labels apart: plate 1 is no
-    misspelt plate 2.
-    """
+    """Warn of a label that few stations have, much like another one whose plane their readings fit."""
     recording, readings = problem.recording, problem.recording.readings()
     names, stations = recording.plane_names, np.bincount(recording.plane_of_station)
-    plain = [re.sub(r"[\s_-]", "", name).casefold() for name in names]
-    numbers = [re.findall(r"\d+", name) for name in names]
     at = problem.in_world(solution.best)
-    for few in np.flatnonzero(stations <= PLANE.dim).tolist():
+    for few, other in much_alike(names, stations.tolist()):
         rows = np.flatnonzero(readings.plane == few)
-        for other in np.flatnonzero(stations > stations[few]).tolist():
-            if numbers[few] != numbers[other] or not get_close_matches(plain[few], [plain[other]]):
-                continue
-            own = replace(readings.subset(rows), plane=np.full(len(rows), other))
-            e = residuals_or_infinite(at, own)
-            if np.sqrt(np.mean(e**2)) < FAR_SIGMAS * fit.rms:
-                values: Values = {"target": names[few], "other": names[other]}
-                how_many = count(int(stations[few]), "station")
-                yield warned("misspelt-label:beams", values, stations=how_many)
+        own = replace(readings.subset(rows), plane=np.full(len(rows), other))
+        e = residuals_or_infinite(at, own)
+        if np.sqrt(np.mean(e**2)) < FAR_SIGMAS * fit.rms:
+            values: Values = {"target": names[few], "other": names[other]}
+            how_many = count(int(stations[few]), "station")
+            yield warned("misspelt-label:beams", values, stations=how_many)
 
 
 def _way(

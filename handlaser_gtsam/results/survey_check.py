@@ -41,6 +41,7 @@ from .survey_misfit import (
     implausible,
     mislabelled,
     misread,
+    misspelt,
     no_fit,
     unconfirmed,
     with_causes,
@@ -53,7 +54,7 @@ from .survey_motion import (
     open_words,
     unconfirmed_mount,
 )
-from .survey_warnings import many_rejected, unread_stations
+from .survey_warnings import many_rejected, off_targets, unread_stations
 
 DOUBTS = (NO_FIT, *MISREAD, FALSE_RELATION)
 """Codes of warnings with which the motion is not judged: the gravest first."""
@@ -190,7 +191,8 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
             fits = fits or learned.fits
             warnings = (*warnings, *contradictions(learned.tests))
     if fits:
-        warnings = (*warnings, *many_rejected(settled))
+        off = off_targets(settled.rows)
+        warnings = (*warnings, *off, *misspelt(state, found), *many_rejected(settled))
     else:
         warnings = (no_fit(rows, first, causes, noise), *warnings)
     another = unconfirmed_mount(rows)

@@ -51,7 +51,7 @@ from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, ROUGH_CUT, WIDEST_CONE
 from ..text import count, some
 from .lines import NAMES_IN_LINE
 from .messages import Values, said, warned
-from .warnings import DISPLACED, IMPLAUSIBLE
+from .warnings import DISPLACED, IMPLAUSIBLE, much_alike
 
 NO_FIT = "no-fit"
 """Code of the warning that most shots do not fit each other."""
@@ -60,7 +60,7 @@ FALSE_RELATION = "relation-contradicted"
 MISREAD = (
     "convention",
     "target-kind",
-    "misspelt-label",
+    "undetermined-label",
     "half-angle",
     "behind-echo",
     "beside-ball",
@@ -90,19 +90,20 @@ def misread(rows: SurveyRows, noise: Noise) -> Iterator[CalibrationWarning]:
     for label, better in better_kinds(rows.survey, noise).items():
         kind, _, name = label.partition(":")
         values = {"target": label, "kind": kind, "better": better}
-        towards = "; ".join(counted_towards(rows)) if kind == SPHERE.name else ""
+        towards = "; ".join(counted_towards(rows).values()) if kind == SPHERE.name else ""
         if towards:
             yield warned("target-kind:towards", values, towards=towards)
         else:
             yield warned("target-kind", {**values, "label": f"{better}:{name}"})
 
 
-def counted_towards(rows: SurveyRows) -> Iterator[str]:
-    """Yield what to try of profilers whose shots show balls only where z grows towards the sensor.
+def counted_towards(rows: SurveyRows) -> dict[int, str]:
+    """Return what to try of profilers whose shots show balls only where z grows towards the sensor.
 
-    A shape in a profile is the same wherever it is along z, so that z is reversed about its own middle.
+    Keys are the numbers of these sensors. A shape in a profile is the same wherever it is along z, so
+    that z is reversed about its own middle.
     """
-    labels = rows.survey.stations.plane_labels
+    labels, found = rows.survey.stations.plane_labels, {}
     for member, shots in enumerate(rows.survey.shots):
         before = [at for i, at in rows.lost if i == member and kind_of(labels[at]) == SPHERE.name]
         met = sum(i.member == member and i.target[0] == SPHERE.name for i in rows.items)
@@ -112,7 +113,8 @@ def counted_towards(rows: SurveyRows) -> Iterator[str]:
         tables = [(shots.across[shots.station == s], turned[shots.station == s]) for s in before]
         shown = condensed_shots(KINDS[shots.kind], SPHERE.name, tables, Stated(sigma=shots.sigma))
         if sum(shot is not None for shot in shown) > 0.5 * len(before):
-            yield f"if z of {shots.name} grows towards the sensor, reverse its sign"
+            found[member] = f"if z of {shots.name} grows towards the sensor, reverse its sign"
+    return found
 
 
 def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
@@ -294,9 +296,9 @@ def unconfirmed(
     """Warn of sensors that lose more shots than may be rejected, where the rest does not confirm them.
 
     It confirms them where the shots of every target that count say more than the unknowns of that
-    target. Fewer lost shots are too many where no shot of a target counts, and no other target could
-    show what is wrong: planes look alike from a sensor that is read inside out, spheres do not.
-    `causes` say of the shots why they are lost.
+    target. Fewer lost shots are too many where they show their ball with z reversed, or where no shot
+    of a target counts, and no other target could show what is wrong: planes look alike from a sensor
+    that is read inside out, spheres do not. `causes` say of the shots why they are lost.
     """
     labels = [normal_label(label) for label in rows.survey.stations.plane_labels]
     numbers = Counter[str]()
@@ -304,13 +306,16 @@ def unconfirmed(
         numbers[labels[item.station]] += item.numbers
     told = {label for label in numbers if numbers[label] > FAMILIES.get(kind_of(label), PLANE).dim}
     round_told = any(kind_of(label) == SPHERE.name for label in told)
+    turned = counted_towards(rows)
     for member, shots in enumerate(rows.survey.shots):
         lost = [labels[at] for own, at in rows.lost if own == member]
         total = len(np.unique(shots.station))
+        balls = [one for one in dict.fromkeys(lost) if kind_of(one) == SPHERE.name]
         open_ = [label for label in dict.fromkeys(lost) if label not in told]
-        if len(lost) <= MOST_REJECTED * total:
-            gone = (label for label in open_ if not numbers[label])
-            open_ = [one for one in gone if kind_of(one) == SPHERE.name and not round_told]
+        if member in turned:
+            open_ = balls
+        elif len(lost) <= MOST_REJECTED * total:
+            open_ = [] if round_told else [one for one in balls if not numbers[one]]
         if open_:
             targets, what = some(open_, NAMES_IN_LINE), "; ".join(one.message for one in causes)
             values: Values = {"sensor": shots.name, "lost": len(lost), "targets": targets}
@@ -326,27 +331,52 @@ def mislabelled(state: SurveyState, found: Estimate) -> Iterator[CalibrationWarn
         At the values of the estimate.
     found : Estimate
     """
-    rows = state.rows
-    seen = [item.target for item in rows.items]
-    targets = dict.fromkeys(seen)
-    stations = {one: len({i.station for i in rows.items if i.target == one}) for one in targets}
-    known = {one for one in targets if np.isfinite(found.marginal(*one)).all()}
-    for target in targets.keys() - known:
-        own = np.array([one == target for one in seen])
+    rows, stations = state.rows, _stations_of(state.rows)
+    known = {one for one in stations if np.isfinite(found.marginal(*one)).all()}
+    for target in stations.keys() - known:
         misfit: dict[str, float] = {}
         for other in known:
             if other[0] == target[0] and stations[other] > stations[target]:
-                items = [replace(i, target=other) if i.target == target else i for i in rows.items]
-                renamed = replace(state, rows=replace(rows, items=tuple(items)))
-                misfit[rows.label(other)] = float(np.median(renamed.misfits()[own]))
+                misfit[rows.label(other)] = _misfit_as(state, target, other)
         best = min(misfit, key=lambda label: misfit[label], default="")
         if best and misfit[best] < GROSS:
             label = rows.label(target)
             how = "a misspelt" if get_close_matches(label, [best]) else "another name of"
             values: Values = {"target": label, "other": best}
-            yield warned(
-                "misspelt-label", values, stations=count(stations[target], "station"), how=how
-            )
+            how_many = count(stations[target], "station")
+            yield warned("undetermined-label", values, stations=how_many, how=how)
+
+
+def misspelt(state: SurveyState, found: Estimate) -> Iterator[CalibrationWarning]:
+    """Warn of labels that few stations have, much like another one whose target their shots fit.
+
+    These targets are determined; of others `mislabelled` warns. Parameters are as there.
+    """
+    rows, stations = state.rows, _stations_of(state.rows)
+    for family in rows.targets:
+        own = [one for one in stations if one[0] == family]
+        own = [one for one in own if np.isfinite(found.marginal(*one)).all()]
+        names = [rows.label(one).rpartition(":")[2] for one in own]
+        for few, other in much_alike(names, [stations[one] for one in own]):
+            if _misfit_as(state, own[few], own[other]) < FAR_SIGMAS:
+                values: Values = {"target": rows.label(own[few]), "other": rows.label(own[other])}
+                how_many = count(stations[own[few]], "station")
+                yield warned("misspelt-label:survey", values, stations=how_many)
+
+
+def _stations_of(rows: SurveyRows) -> dict[Entity, int]:
+    """Return how many stations each target has."""
+    pairs = {(item.target, item.station) for item in rows.items}
+    return Counter(target for target, _ in pairs)
+
+
+def _misfit_as(state: SurveyState, target: Entity, other: Entity) -> float:
+    """Return the typical misfit of the shots of a target, if they are of another one [sigmas]."""
+    rows = state.rows
+    own = np.array([item.target == target for item in rows.items])
+    items = [replace(i, target=other) if i.target == target else i for i in rows.items]
+    renamed = replace(state, rows=replace(rows, items=tuple(items)))
+    return float(np.median(renamed.misfits()[own]))
 
 
 def implausible(rows: SurveyRows, values: Mapping[str, FloatArray]) -> Iterator[CalibrationWarning]:

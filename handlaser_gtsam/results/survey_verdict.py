@@ -51,6 +51,8 @@ CAUSES = (*MISREAD, FALSE_RELATION, DISPLACED, "sigmas-too-small", "range-error"
 
 A false relation looks like errors of readings, too, so that the last three are no causes beside it.
 """
+WHY_LOST = ("no-edge", "too-few-points")
+"""Codes of warnings that say why shots are lost."""
 
 
 def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) -> Verdict:
@@ -121,6 +123,8 @@ def _of_no_calibration(result: "SurveyCalibration") -> Verdict:
     """Return the verdict on what is undetermined, contradicted or has not converged."""
     codes = {one.code for one in result.warnings}
     among = (*MISREAD, FALSE_RELATION) if FALSE_RELATION in codes else CAUSES
+    if any(one.code == NO_FIT and "lost" in one.values for one in result.warnings):
+        among = (*among, *WHY_LOST)
     causes = [one for one in result.warnings if one.code in among]
     why = result.undetermined[:2] or (result.message,)
     if NO_FIT not in codes:  # which names its causes
@@ -169,8 +173,10 @@ def _improvement(
     if FALSE_RELATION in warnings:
         return improvement_of(FALSE_RELATION)
     if DISPLACED in warnings:
-        moved = warnings[DISPLACED].values
-        return improvement_of(DISPLACED, target=moved["target"], station=moved["station"])
+        target, station = (warnings[DISPLACED].values[of] for of in ("target", "station"))
+        of_mount = target in {one.subject for one in result.mounts}
+        whose = "target" if target in result.targets else "mount" if of_mount else "hand"
+        return improvement_of(f"{DISPLACED}:{whose}", target=target, station=station)
     for one in named:
         return improvement_of("range-error", sensor=one.values["sensor"], free=one.values["free"])
     if any(ambiguous(result.warnings)):

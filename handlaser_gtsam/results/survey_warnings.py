@@ -7,7 +7,7 @@ survey then move to the ends that may fit as well.
 """
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -64,6 +64,7 @@ from .survey_misfit import (
     misheard,
     mislabelled,
     misread,
+    misspelt,
     no_fit,
     pulled,
     unconfirmed,
@@ -114,8 +115,10 @@ def survey_warnings(
         size, growth = alike_by_zone(found.rows, found.values, found.used, member)
         if found.fits and growth > 1.0:  # which makes standard deviations larger
             yield warned("zones-err", {"sensor": shots.name, "size": size})
+    yield from off_targets(found.rows)
     yield from _sigmas(found)
     if found.fits:
+        yield from misspelt(found.ended(), found.estimate)
         if len(beams) > 1:
             yield from _rough_beam(found)
         usual, stated = usual_noise(found.rows, found.given).pose, found.stated.pose
@@ -190,6 +193,9 @@ def rejected_of(found: SurveyEstimate | SurveyState) -> Iterator[Rejected]:
             reason = "grazing" if item.grazing and alone else "contradicted"
             label = rows.label(item.target)
             yield Rejected(names[item.station], mounts[item.mount], label, reason)
+    for item in rows.off_target:
+        label = rows.label(item.target)
+        yield Rejected(names[item.station], mounts[item.mount], label, "off-target")
     for member, at in rows.lost:
         label = stations.plane_labels[at]
         reason = "no-edge" if label in rows.edgeless else "too-few-points"
@@ -203,6 +209,14 @@ def many_rejected(found: SurveyEstimate | SurveyState) -> Iterator[CalibrationWa
     if len(out) > MANY_OUTLIERS * total:
         names = some([rejected_shot(one, beams) for one in out], NAMES_IN_LINE)
         yield warned("many-rejected", {"shots": len(out), "total": total, "names": names})
+
+
+def off_targets(rows: SurveyRows) -> Iterator[CalibrationWarning]:
+    """Warn of beams that do not see a target that sensors of many rays see."""
+    for (mount, target), readings in Counter((i.mount, i.target) for i in rows.off_target).items():
+        values: Values = {"beam": rows.mounts[mount], "target": rows.label(target)}
+        of = count(readings, "reading")
+        yield warned("off-target", {**values, "readings": readings}, of=of)
 
 
 def _displaced(found: SurveyEstimate, mounts: "Sequence[Mount]") -> Iterator[CalibrationWarning]:
@@ -246,7 +260,8 @@ def unread_stations(rows: SurveyRows) -> Iterator[CalibrationWarning]:
         first = min(twice)
         like = names[rows.stops[first]]
         yield repeated("repeated-stations", REPEATED, len(twice), stations, names[first], like)
-    read = {item.station for item in rows.items} | {at for _, at in rows.lost} | twice
+    read = {item.station for item in (*rows.items, *rows.off_target)} | twice
+    read |= {at for _, at in rows.lost}
     unread = stations - len(read)
     labels = survey.stations.plane_labels
     if unread:
@@ -269,7 +284,7 @@ def unread_stations(rows: SurveyRows) -> Iterator[CalibrationWarning]:
         targets = some([one for one in lost_labels if one not in counted], NAMES_IN_LINE)
         gone = {"targets": targets} if targets else {}
         uncounted = f", so that no shot of {targets} counts" if targets else ""
-        more = "".join(f"; {one}" for one in counted_towards(rows))
+        more = "".join(f"; {one}" for one in counted_towards(rows).values())
         values: Values = {"shots": len(lost), "names": some(listed, NAMES_IN_LINE), **gone}
         with_few = count(len(lost), "shot")
         yield warned("too-few-points", values, lost=with_few, uncounted=uncounted, more=more)

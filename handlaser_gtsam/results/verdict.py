@@ -116,7 +116,7 @@ def improvement(
     moved = moved_beam_of(calibration.warnings)
     if moved is not None:
         target, station = moved.values["target"], moved.values["station"]
-        return improvement_of(f"{DISPLACED}:beam", target=target, station=station)
+        return improvement_of(f"{DISPLACED}:mount", target=target, station=station)
     if harmful is not None:
         return Improvement("systematic", harmful.remedy)
     if any(ambiguous(calibration.warnings)):

@@ -5,9 +5,11 @@ Their words stand in `messages.toml`; a new one is yielded by `fit_warnings`. Su
 """
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -29,6 +31,7 @@ from ..model.distributions import (
     chi2_sf,
 )
 from ..model.equation import cosines, plausible_range_errors, scene
+from ..model.families import PLANE
 from ..model.losses import GAUSSIAN
 from ..model.sensor_limits import BY_LIMITS, LONG_RANGE
 from ..observability.wording import BeamAndPlaneNames
@@ -65,6 +68,20 @@ def ambiguous(warnings: Iterable[CalibrationWarning]) -> Iterator[str]:
     for one in warnings:
         if one.code == RIVAL and float(one.values["chi2"]) < likely:
             yield one.message
+
+
+def much_alike(names: Sequence[str], stations: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """Yield the numbers of a label that few stations have, and of one with more that it may misspell.
+
+    These are no more stations than a plane has unknowns. Numbers tell labels apart: plate 1 is no
+    misspelt plate 2.
+    """
+    plain = [re.sub(r"[\s_-]", "", name).casefold() for name in names]
+    numbers = [re.findall(r"\d+", name) for name in names]
+    for few in [i for i, own in enumerate(stations) if own <= PLANE.dim]:
+        for other in [i for i, own in enumerate(stations) if own > stations[few]]:
+            if numbers[few] == numbers[other] and get_close_matches(plain[few], [plain[other]]):
+                yield few, other
 
 
 def misfit(
