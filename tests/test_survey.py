@@ -217,6 +217,39 @@ def test_several_groups_of_one_beam_plane_and_pose_have_their_rows():
     assert e == pytest.approx([0.0, -0.01, -0.02])
 
 
+def test_residuals_of_readings_have_their_derivatives_and_the_noise_of_readings():
+    """Derivatives are differences; a reading that is longer by 1 mm is 1 mm off, whatever k1 is."""
+    one = np.zeros(2, dtype=int)
+    pose = np.append(Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix().ravel(), [0.1, 0.2, 0.0])
+    direction = np.array([0.2, -0.1, 1.0]) / np.sqrt(1.05)
+    values = {
+        "beam": np.array([0.01, 0.02, 0.03, *direction, 0.2, 0.01]).reshape(1, 1, 8),
+        "plane": np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.6]).reshape(1, 1, 7),
+        "pose": pose.reshape(1, 1, 12),
+    }
+
+    def residuals(reading, at):
+        sensor = BeamSensor(one, as_read=True)
+        block = Ranges(sensor, PlaneTarget(one), PoseVariables(one), reading.reshape(1, 2, 1))
+        return block.evaluate(at).columns[..., 0]
+
+    reading, step = np.array([0.45, 0.5]), 1e-6
+    columns = residuals(reading, values)[:, 0]
+    for coordinate in range(7):
+        ends = [
+            FAMILIES["beam"].retract(values["beam"], side * step * np.eye(1, 7, coordinate)[None])
+            for side in (1.0, -1.0)
+        ]
+        more, less = (residuals(reading, {**values, "beam": end})[-1, 0] for end in ends)
+        # Second derivatives of half a metre make 1e-12 of a step of 1e-6.
+        assert columns[coordinate] == pytest.approx((more - less) / (2.0 * step), abs=1e-8)
+    exact = reading
+    for _ in range(5):
+        exact = exact + residuals(exact, values)[-1, 0]
+    assert residuals(exact, values)[-1, 0] == pytest.approx(0.0, abs=1e-12)
+    assert residuals(exact + 1e-3, values)[-1, 0] == pytest.approx(-1e-3, rel=1e-4)
+
+
 def profiles(count, seed=5, points=1000):
     """Profiles of three planes with their hand poses, condensed and whole."""
     rig = rigs_by_rays.profiler(seed, planes=3, stations=count)

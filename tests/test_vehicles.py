@@ -616,6 +616,65 @@ def test_a_beam_of_a_survey_has_a_mirror_image(walls, sigma_deg):
         assert np.arccos(beam.direction @ v) < 4.0 * np.sqrt(2.0) * beam.direction_sigma
 
 
+def three_beams_of_a_vehicle(seed, sigma_deg, turned=0.0):
+    """Beams before three walls and a board, 40 stations a plane, with the mount of one in a drawing.
+
+    Readings err by 1 mm, and poses by 0.5 mm and 0.5 mrad. The drawing is turned about z [deg].
+    """
+    rng = np.random.default_rng(seed)
+    walls = {**UPRIGHT, "plane:C": ([-0.3, -1.0, 0.0], 2.3), "plane:L": ([1.0, 0.2, 0.6], 3.3)}
+    v = np.array([[1.0, 0.1, 0.15], [0.2, 1.0, -0.2], [0.3, -1.0, 0.25]])
+    v /= np.linalg.norm(v, axis=1)[:, None]
+    r = np.array([[0.3, 0.05, 0.2], [0.1, 0.22, 0.35], [0.05, -0.2, 0.28]])
+    label = np.repeat(list(walls), 40)
+    yaw = rng.uniform(-np.pi, np.pi, len(label))
+    t = rng.uniform(-1.0, 1.0, (len(label), 3)) * [1.0, 1.0, 0.0]
+    turns = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, 1.0])
+    exact = hl.StationList(turns.as_matrix(), t, tuple(label))
+    ranges = np.column_stack([reads(walls, exact, *beam) for beam in zip(r, v, strict=True)])
+    normals = np.array([walls[one][0] for one in label])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    cosine = np.einsum("mi,mij,bj->mb", normals, exact.world_R_hand, v)
+    ranges[(cosine < 0.35) | (ranges < 0.15) | (ranges > 4.5)] = np.nan
+    ranges += 1e-3 * rng.standard_normal(ranges.shape)
+    errors = Rotation.from_rotvec(5e-4 * rng.standard_normal((len(label), 1)) * [0.0, 0.0, 1.0])
+    at = t + 5e-4 * rng.standard_normal(t.shape) * [1.0, 1.0, 0.0]
+    seen = np.isfinite(ranges).any(axis=1)
+    stations = hl.StationList((errors * turns).as_matrix()[seen], at[seen], tuple(label[seen]))
+    drawn = np.eye(4)
+    ahead = Rotation.from_euler("z", turned, degrees=True).apply(v[0])
+    drawn[:3, :3] = Rotation.align_vectors([ahead], [[0, 0, 1.0]])[0].as_matrix()
+    drawn[:3, 3] = r[0]
+    mount = hl.Known(
+        "mount", ("beam:a",), sigma=5e-3, sigma_angle=np.radians(sigma_deg), pose=drawn
+    )
+    return hl.Survey(stations, (), ranges[seen], ("a", "b", "c"), (mount,)), v
+
+
+OF_A_VEHICLE = hl.Noise(
+    range_sigma=1e-3, pose_translation_sigma=5e-4, pose_rotation_sigma=np.radians(0.03)
+)
+
+
+@pytest.mark.parametrize("noise", [None, OF_A_VEHICLE], ids=["learned", "stated"])
+def test_many_readings_do_not_draw_beams_of_a_vehicle_to_the_horizontal(noise):
+    """Elevations were too small by one degree and more, and a true mount was contradicted."""
+    survey, v = three_beams_of_a_vehicle(1, 3.0)
+    result = hl.calibrate(survey, noise)
+    assert result.usable
+    assert not any(one.contradicted for one in result.relations)
+    found = np.array([beam.direction for beam in result.beams.values()])
+    # The drawing is true, and range errors are zero: nothing else tells the elevations.
+    assert np.degrees(np.abs(np.arcsin(found[:, 2]) - np.arcsin(v[:, 2]))).max() < 0.6
+
+
+def test_a_false_mount_of_a_vehicle_is_contradicted():
+    """A drawing that is turned by ten standard deviations."""
+    result = hl.calibrate(three_beams_of_a_vehicle(1, 3.0, turned=30.0)[0])
+    assert result.verdict.code == "contradicted"
+    assert result.relations[0].contradicted
+
+
 def array_before_walls(wobble, recorded, seed):
     """An array on a vehicle before two upright walls, whose poses err by 0.2 mm, and readings by 1 mm.
 

@@ -29,9 +29,11 @@ from ..quantities import IN_PERCENT, MEDIAN_TO_SIGMA, MM, MOST_ROUNDS, SAME_OPTI
 from .dense import spanned, tests_of
 from .errors_by_pose import ErrorsByPose
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, judged
+from .joint_solution import STEPS_IN_VAIN
 from .survey_by_pose import survey_errors_by_pose
 from .survey_cones import aim_freely
 from .survey_mirror import (
+    beams_stretch,
     best_image,
     images_of,
     motion_with_images,
@@ -741,8 +743,11 @@ def _settle(state: SurveyState) -> bool:
 
     Tell whether that was reached.
     """
-    for _ in range(MOST_ROUNDS * 4):
-        if not state.minimize():
+    for turn in range(MOST_ROUNDS * 4):
+        # A noise that is far too small folds the beams of a vehicle into its plane, where a search only
+        # creeps: from there the noise can be learned all the same.
+        folded = not turn and state.learning and beams_stretch(state.rows)
+        if not state.minimize() and not (folded and state.minimize(STEPS_IN_VAIN)):
             return False
         before, state.sizes = state.sizes.vector(), learned_sizes(state)
         after = state.sizes.vector()

@@ -75,6 +75,16 @@ def motion_with_images(rows: SurveyRows) -> PoorMotion | None:
     return motion if motion is not None and motion.kind in ("planar", "one axis") else None
 
 
+def beams_stretch(rows: SurveyRows) -> bool:
+    """Tell whether beams move in a plane, where elevations and k1 hold each other by priors alone.
+
+    Residuals s - g(d) become smaller with k1 along this stretch: the more readings there are, the
+    farther they draw k1 towards -1 and elevations towards zero.
+    """
+    motion = motion_of(rows) if rows.survey.beam_names else None
+    return motion is not None and motion.kind == "planar"
+
+
 def best_image(
     state: "SurveyState", settle: Callable[["SurveyState"], bool]
 ) -> tuple[bool | None, list[Mapping[str, FloatArray]]]:

@@ -493,6 +493,7 @@ def blocks_of(
     values: Values,
     *,
     given_poses: bool = False,
+    as_read: bool = False,
 ) -> tuple[list[Block], IntArray]:
     """Return the blocks of some items, and the number of the item of each of their rows.
 
@@ -509,6 +510,8 @@ def blocks_of(
         Where spots on points are seen along their rays, and the hand poses.
     given_poses : bool
         Whether the hand poses are constants of the blocks, without derivatives, and not variables.
+    as_read : bool
+        As of a `BeamSensor`, for beams that do not read points.
     """
     alike: dict[tuple[str, str, int, float], list[int]] = defaultdict(list)
     for number, item in enumerate(items):
@@ -542,7 +545,7 @@ def blocks_of(
             axes, beam = axes_along(values[BEAM.name][0, member, 3:6]), BeamSensor(member)
             blocks.append(SpotsOnPoints(beam, robot, seen, reading, axes, weights(root)))
         elif not shots:
-            sensor = BeamSensor(member, half_angle)
+            sensor = BeamSensor(member, half_angle, as_read)
             blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights(root)))
         else:
             parts = [(s.rays.origin, s.rays.direction, s.by_error.T) for s in shots]

@@ -16,6 +16,7 @@ from ..model.targets.sphere import SPHERE
 from .dense import DenseRows, dense_rows, unknowns_of, with_pose_errors
 from .estimate import BlockProblem, minimum
 from .joint_solution import STEPS_IN_VAIN
+from .survey_mirror import beams_stretch
 from .survey_noise import Components
 from .survey_rows import Item, SurveyRows, blocks_of, near_the_hand, priors_of, relations_of
 
@@ -70,7 +71,8 @@ class SurveyState:
         self, items: Sequence[Item], *, pose_errors: bool = True
     ) -> tuple[list[Block], IntArray]:
         """Return `blocks_of` items, errors of the hand counted or not."""
-        blocks, owner = blocks_of(items, self.sigmas(), self.values)
+        as_read = beams_stretch(self.rows)
+        blocks, owner = blocks_of(items, self.sigmas(), self.values, as_read=as_read)
         if pose_errors:
             errors = self.pose_covariance(), self.own_covariance()
             blocks = with_pose_errors(blocks, self.values, *errors)

@@ -27,6 +27,8 @@ from .block import Rows, Slot, Values, Weights
 from .families import FAMILIES
 from .geometry import cross
 
+LEAST_SLOPE = 0.05
+"""A true range grows with its reading by at least this part; below it a search has gone astray."""
 FEW_RAYS = 8
 """A group of at most these rays has the numbers of its members once a ray: arithmetic along so short an
 axis takes up to three times as long."""

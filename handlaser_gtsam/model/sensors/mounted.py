@@ -13,10 +13,8 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ..block import Values
 from ..families import Family, Motion, Vector, register
-from ..range_blocks import Rays, by_motion, dot, members, turned, turned_back
+from ..range_blocks import LEAST_SLOPE, Rays, by_motion, dot, members, turned, turned_back
 
-LEAST_SLOPE = 0.05
-"""A true range grows with its reading by at least this part; below it a search has gone astray."""
 SENSOR = register(Family("sensor", Motion(), Vector("k0_m", "k1", "k2_per_m", "scale")))
 """hand_T_sensor, moved in the sensor's own frame; then the range error."""
 
