@@ -109,6 +109,32 @@ def test_two_codes_are_both_found(tmp_path):
     assert values == {"z = 9999", "z = -9999"}
 
 
+@pytest.mark.parametrize(("kind", "first"), [("array", "zone"), ("scanner", "angle")])
+@pytest.mark.parametrize(("below", "words"), [((-1,), "-1"), ((-1, -1, -2), "-2, -1")])
+def test_distances_below_zero_are_counted_and_named(tmp_path, kind, first, below, words):
+    names, good = "stuv", [f"{name},{10 * i},{100 + i}" for name in "stuv" for i in range(3)]
+    bad = [f"t,{30 + 10 * i},{reading}" for i, reading in enumerate(below)]
+    (tmp_path / "p.csv").write_text(
+        "\n".join([f"station,{first},reading", *good, *bad, "u,30,0", ""])
+    )
+    (tmp_path / "zones.csv").write_text(
+        "zone,x_deg,y_deg\n" + "".join(f"{i},{i - 20},{i % 20}\n" for i in range(0, 60, 10))
+    )
+    more = 'zones = "zones.csv"\n' if kind == "array" else ""
+    (tmp_path / "rig.toml").write_text(
+        f'[[sensors]]\nname = "tof"\nkind = "{kind}"\npoints = "p.csv"\n{more}'
+    )
+    poses = [f"{name},plane:A,{i},0,0,0,0,0,1" for i, name in enumerate(names)]
+    (tmp_path / "poses.csv").write_text("\n".join(["station,plane,x,y,z,qx,qy,qz,qw", *poses, ""]))
+    survey = read(tmp_path)
+    assert len(survey.shots[0].reading) == len(good)
+    (warning,) = survey.warnings
+    what = f"reading = {words}"
+    assert warning.code == "reading-code"
+    assert warning.values == {"readings": len(below), "sensor": "tof", "value": what}
+    assert f"with {what} counted as no reading: no distance is below zero" in warning.message
+
+
 def zones(rng, step, sigma, *, walls, tilted):
     """Return readings [mm] and stations of an array before a plate, at one distance at five stations.
 

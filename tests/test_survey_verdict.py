@@ -71,9 +71,13 @@ def test_a_false_relation_and_a_range_error_are_codes():
     assert "relation-contradicted" in {one["code"] for one in verdict["causes"]}
     (shots,) = survey.shots
     longer = replace(survey, shots=(replace(shots, reading=1.001 * shots.reading),))
-    verdict = record_of(hl.calibrate(longer, EXACT))
+    found = hl.calibrate(longer, EXACT)
+    verdict = record_of(found)
     assert verdict["code"] == "no-fit"
     assert [one["code"] for one in verdict["remedies"]] == ["range-error"]
+    (cause,) = [one.message for one in found.warnings if one.code == "range-error"]
+    assert found.message.startswith(f"{cause}; the rows do not fit each other: ")
+    assert found.verdict.findings == (found.message,)
 
 
 @pytest.mark.slow

@@ -232,13 +232,22 @@ def codes_of_shots(reading: FloatArray, station: IntArray) -> tuple[float, ...]:
     return tuple(_codes(reading[:, None], is_code))
 
 
-def shots_code_warning(what: str, sensor: str, points: int) -> CalibrationWarning:
-    """Return the warning that a value of a sensor of many rays, `z = 0`, was taken for "no reading"."""
+def shots_code_warning(
+    what: str, sensor: str, points: int, *, negative: bool = False
+) -> CalibrationWarning:
+    """Return the warning that a value of a sensor of many rays, `z = 0`, was taken for "no reading".
+
+    `negative` says that it is below zero where distances are read.
+    """
+    why = "a number that stands so often at one end of all readings means a missing echo or the "
+    why += "sensor's limit, not a distance; leave such cells empty, or write more decimals if they "
+    why += "are distances"
+    if negative:
+        why = "no distance is below zero; leave such cells empty"
+    number = f"{points} points" if points > 1 else "one point"
     return CalibrationWarning(
         "reading-code",
-        f"{points} points of sensor {sensor} with {what} counted as no reading: a number that stands "
-        "so often at one end of all readings means a missing echo or the sensor's limit, not a "
-        "distance; leave such cells empty, or write more decimals if they are distances",
+        f"{number} of sensor {sensor} with {what} counted as no reading: {why}",
         {"readings": points, "sensor": sensor, "value": what},
     )
 

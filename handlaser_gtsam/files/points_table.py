@@ -2,9 +2,9 @@
 
 Columns, by the kind of the sensor: `station`, and `x, z` (profiler); `angle, reading` (scanner);
 `zone, reading` (array); `x, y, z` (points). A unit may stand behind a name: `x_mm`, `z [in]`. Empty
-cells and codes for no reading (not finite, zero, or beyond any length) are passed over; other numbers
-that are codes, by the rule of `data.screening`, are passed over and counted. An array may have a column
-`echo` where a zone has several. Letters of names count in either case.
+cells and codes for no reading (not finite, zero, or beyond any length) are passed over; distances below
+zero, and other numbers that are codes by the rule of `data.screening`, are passed over and counted. An
+array may have a column `echo` where a zone has several. Letters of names count in either case.
 """
 
 import re
@@ -42,6 +42,8 @@ COLUMNS = {
     "points": ("x", "y", "z"),
 }
 """Columns beside `station`, by the kind of the sensor."""
+OF_DISTANCES = "scanner", "array"
+"""Kinds whose readings are distances, none of which is below zero."""
 Points = tuple[IntArray, FloatArray, FloatArray]
 """The station (N,) of each point, from 0, its columns (N, c), and (N,) the nearest reading of the zone
 of an array at the station, NaN for that reading itself and for other kinds."""
@@ -149,7 +151,7 @@ def read_points(
         station = np.concatenate([at for at, _ in parts])
         numbers = np.concatenate([points for _, points in parts])
         reading = numbers[:, -1]
-        if kind in ("scanner", "array") and reading.min(initial=0.0) < 0.0 >= reading.max():
+        if kind in OF_DISTANCES and reading.min(initial=0.0) < 0.0 >= reading.max():
             found = f"no {COLUMNS[kind][-1]} above zero, and some below it"
             raise InputError(found, "distances: reverse their sign", next(iter(files.values())))
         if kind != "profiler":
@@ -157,6 +159,9 @@ def read_points(
             station, numbers = station[good], numbers[good]
         station, numbers, doubled = without_copies(station, numbers)
         station, numbers, codes = without_codes(station, numbers)
+        if kind in OF_DISTANCES:
+            negative, times = np.unique(reading[reading < 0.0], return_counts=True)
+            codes |= dict(zip(negative.tolist(), times.tolist(), strict=True))
     if awaited and not parts:
         found = f"points of station {some([shown(one) for one in awaited], 4)} only"
         raise InputError(found, f"some of stations {of_recording}", next(iter(files.values())))

@@ -37,7 +37,7 @@ from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
 from ..model.sensor_limits import LONG_RANGE
 from ..quantities import DEG, IN_DEG, IN_MM, LARGEST_LENGTH, MAJORITY, MM, WIDEST_CONE
 from ..results.messages import Values, warned
-from ..text import shown
+from ..text import shown, some
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
 from .recording_csv import known_numbers
@@ -318,13 +318,20 @@ def _copy_warnings(
 
 
 def _code_warnings(table: SensorTable, codes: "Codes") -> list[CalibrationWarning]:
-    from .points_table import COLUMNS
+    from .points_table import COLUMNS, OF_DISTANCES
 
     what = COLUMNS[table.kind][-1]
-    return [
+    negative = [code for code in codes if code < 0.0 and table.kind in OF_DISTANCES]
+    warnings = [
         shots_code_warning(f"{what} = {code:.10g}", table.name, times)
         for code, times in codes.items()
+        if code not in negative
     ]
+    if negative:  # perhaps many different ones
+        words = f"{what} = {some([f'{code:.10g}' for code in negative], 4)}"
+        times = sum(codes[code] for code in negative)
+        warnings.append(shots_code_warning(words, table.name, times, negative=True))
+    return warnings
 
 
 def _of_station(points: Path) -> re.Pattern[str]:

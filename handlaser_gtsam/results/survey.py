@@ -45,7 +45,7 @@ from .result import Result
 from .spots import radius, spot_of
 from .survey_misfit import FALSE_RELATION, MISREAD, NO_FIT
 from .survey_motion import counts_of, leaves_open, open_words
-from .survey_verdict import survey_verdict
+from .survey_verdict import CAUSES, survey_verdict
 from .survey_warnings import rejected_of, survey_warnings
 from .verdict import Verdict
 from .warnings import DISPLACED
@@ -376,7 +376,8 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     elif status != "converged" and cause is not None:
         message = cause
     elif status == "contradicted":
-        message = "; ".join((message, *_rejected_since(found)))
+        causing = (one.message for one in warnings if one.code in CAUSES)
+        message = "; ".join((*causing, message, *_rejected_since(found)))
     elif estimate.undetermined or found.images:
         information, axes, _ = _information(found)
         null = axes[:, information < least_information(information)]

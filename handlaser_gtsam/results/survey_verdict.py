@@ -128,7 +128,8 @@ def _of_no_calibration(result: "SurveyCalibration") -> Verdict:
     causes = [one for one in result.warnings if one.code in among]
     why = result.undetermined[:2] or (result.message,)
     if NO_FIT not in codes:  # which names its causes
-        why = (*(one.message for one in causes), *why)
+        named = (one.message for one in causes if one.message not in result.message)
+        why = (*named, *why)
     code = {"undetermined": "undetermined", "not_converged": "not-converged"}.get(
         result.status, "no-fit"
     )
