@@ -17,8 +17,10 @@ from helpers import ROOT, first_and_slow
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.observability.motion import check_motion, poor_motion
+from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.observability.motion import check_motion, poor_motion, some_plane_leans
 from handlaser_gtsam.results.survey_check import check_survey
+from handlaser_gtsam.solvers.beam_problem import refine
 
 WALLS = {
     "vertical": [(0, 0), (60, 0), (-50, 0), (150, 0)],
@@ -424,6 +426,47 @@ def test_no_elevation_is_stated_that_a_mirror_image_contradicts(motion, walls):
     check = check_motion(at.recording(SIGMA))
     assert UP in check.undetermined
     assert "against the mirror image" in check.advice[-2]
+
+
+def test_noise_before_level_beams_is_no_lean():
+    """k1 hides the elevations; leans of 39 to 72 degrees then had 4 standard deviations and more."""
+    at = scene("planar", "vertical", 3, stations=8)
+    across = np.hypot(at.v[:, 0], at.v[:, 1])
+    v = np.column_stack((at.v[:, :2] / across[:, None], np.full(3, 1e-3)))
+    n, lean = at.n * 0.5, np.sqrt(0.75)
+    n[:, 2] = lean
+    errors = np.column_stack((across - 1.0, np.zeros(3)))
+    level = Parameters(at.r, v / np.linalg.norm(v, axis=1, keepdims=True), errors, n, 0.5 * at.b)
+    assert not leans(at, level)
+    board = scene("planar", "one leans", 3, stations=8)
+    assert leans(board, Parameters(board.r, board.v, np.zeros((3, 2)), board.n, board.b))
+
+
+def leans(at, start):
+    """Whether a plane is known to lean at the minimum near some parameters."""
+    readings = at.recording(SIGMA).readings()
+    found = refine(start, readings, terms=0, iterations=200)
+    assert found.criterion < 2.0 * SIGMA**2 * len(readings)
+    return some_plane_leans(poor_motion(readings), found.parameters, readings, SIGMA)
+
+
+@pytest.mark.parametrize(
+    ("walls", "beams", "stations"),
+    first_and_slow(("vertical", 2, 12), ("one leans", 2, 10), ("vertical", 1, 8)),
+)
+def test_range_errors_with_a_prior_do_not_end_at_level_beams(walls, beams, stations):
+    """Free ones were where the search began: no fit, or up to 250 standard deviations off."""
+    at = scene("planar", walls, beams, stations)
+    found = hl.calibrate(at.recording(SIGMA))
+    assert found.status == "unobservable"
+    words = HEIGHTS if walls == "vertical" else COMMON
+    assert words in found.observability.undetermined[0]
+    assert not found.warnings
+    for i, beam in enumerate(found.beams.values()):
+        assert np.linalg.norm(beam.location) < 0.4
+        assert (np.abs(beam.location - at.r[i]) < 4.0 * beam.sigma[:3]).all()
+        assert (np.abs(beam.direction - at.v[i]) < 4.0 * beam.sigma[3:6]).all()
+        assert np.isinf(beam.sigma[5]) or walls == "one leans"
 
 
 @pytest.mark.parametrize(("beams", "range_error"), [(2, "k1"), (1, "k1k2")])

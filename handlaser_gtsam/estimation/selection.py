@@ -18,6 +18,7 @@ from ..model.distributions import SINGLE_LEVEL, chi2_sf, gaussian_sf, student_qu
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.families import count_unknowns
 from ..model.weighting import reading_sigmas
+from ..observability.motion import poor_motion
 from ..outliers.consensus import Consensus, find_consensus
 from ..outliers.reading_tests import cut, enough, judge, test
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS
@@ -146,6 +147,12 @@ def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> Con
         start = find_start(readings, sigma, terms, certain=certain)
         everything = np.ones(len(readings), dtype=bool)
         consensus = Consensus(start.tried, everything, start.parameters, start.method, None)
+    motion = poor_motion(readings) if options.linearity is not None else None
+    if motion is not None and motion.kind == "planar":
+        # Range errors were free, which a prior will hold: elevations are any then, and end level.
+        good = readings.subset(np.flatnonzero(consensus.kept))
+        start = find_start(good, terms=0, effort="normal")
+        consensus = consensus._replace(parameters=start.parameters, method=start.method)
     steep = np.isfinite(residuals(consensus.parameters, readings))
     scale = consensus.range_sigma or _scale(readings, consensus.parameters)
     return consensus._replace(kept=consensus.kept & steep, range_sigma=scale)

@@ -36,10 +36,11 @@ from ..arrays import FloatArray, IntArray, gathered
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording, sorted_readings
 from ..errors import GrazingBeamError
-from ..model.families import count_unknowns
+from ..model.families import DIRECTION, MOUNT_DIM, count_unknowns
+from ..model.reduction import damped_step
 from ..model.weighting import Whitening
-from ..quantities import FAR_SIGMAS, MOST_ROUNDS, NEGLIGIBLE, SINGULAR, TINY
-from ..solvers.beam_problem import refine
+from ..quantities import FAR_SIGMAS, MOST_ROUNDS, NEGLIGIBLE, ROUNDING, SINGULAR, TINY
+from ..solvers.beam_problem import LEAST_DAMPING, linearized, moved, refine
 from ..starts.choice import find_start
 from ..starts.translations import SPANNING
 from ..text import some
@@ -63,6 +64,9 @@ COUNTED_TURN = np.radians(1.0)
 """Turns that spread less than this about an axis [rad] do not count, nor does a smaller lean."""
 ALONG = 0.95
 """A location is undetermined along the axis of the turns where this part of the axis is."""
+HARDLY_SHOWS = 1e-3
+"""An elevation with this part of the information of its direction is taken for one that a level beam
+has: before upright walls, it is that of two degrees."""
 
 SEEN = {"beam": "plane", "sensor": "target"}
 """What is looked at, by what sits in the hand."""
@@ -174,6 +178,9 @@ def some_plane_leans(
     """Tell whether a plane is known not to be parallel to the axis of the turns.
 
     Range errors count as known: a vertical stretch changes every lean, but makes no plane upright.
+    Before level beams a lean shows in second order only, and what noise makes of it looks certain. So
+    no plane leans where all fit as well upright: where chi2 rises by no more than the square of
+    `FAR_SIGMAS`.
 
     Parameters
     ----------
@@ -199,7 +206,54 @@ def some_plane_leans(
     known = np.linalg.norm(moves, axis=1) < WORTH_A_WORD
     sigma = range_sigma * np.sqrt(np.maximum(variance, 0.0))
     leans = np.abs(lean) > np.maximum(np.sin(COUNTED_TURN), FAR_SIGMAS * sigma)
-    return bool((leans & known).any())
+    if not (leans & known).any():
+        return False
+    # All readings weigh the same here: errors of poses count for nearly everything before a plane that
+    # is taken for nearly level, so that weights would let anything fit.
+    standing, squares = set_upright(motion, parameters, readings), squares_of(parameters, readings)
+    dof = max(len(readings) - count_unknowns(readings, 0), 1)
+    variance = range_sigma**2 if how is None else squares / dof
+    most = squares + FAR_SIGMAS**2 * variance
+    return standing is None or squares_of(standing, readings) > most
+
+
+def set_upright(
+    motion: PoorMotion, parameters: Parameters, readings: Readings, how: Whitening | None = None
+) -> Parameters | None:
+    """Return the minimum with all planes parallel to the axis of the turns, range errors as they are.
+
+    Heights do not show there, and are zero. None where no minimum is near. Arguments as in
+    `some_plane_leans`.
+    """
+    axis = motion.axis
+    lean = (parameters.normals * motion.upright).sum(axis=1, keepdims=True)
+    normals = model.normalized(parameters.normals - lean * motion.upright)
+    try:
+        _, centres = linearized(parameters, readings, 0, how)
+        turned = ((parameters.normals - normals) * centres).sum(axis=1)
+        level = parameters.locations - np.outer(parameters.locations @ axis, axis)
+        offsets = parameters.offsets + turned
+        at = replace(parameters, locations=level, normals=normals, offsets=offsets)
+        for _ in range(5):  # steps of all but the leans, which are short from the beginning
+            normal, centres = linearized(at, readings, 0, how)
+            slope = np.einsum("pia,pi->pa", model.tangent_basis(at.normals), motion.upright)
+            stiff = np.zeros_like(normal.local)
+            stiff[0, :, :2, :2] = np.einsum("pa,pb->pab", slope, slope)
+            # A lean is not to change: it gets far more information than its plane has.
+            stiff *= 1.0 / ROUNDING * np.einsum("kmii->km", normal.local)[..., None, None]
+            # Nor is an elevation that hardly shows, as of a level beam, to go far.
+            diagonal = np.diagonal(normal.matrix[0]).reshape(readings.beams, MOUNT_DIM)
+            added = np.zeros_like(diagonal)
+            added[:, DIRECTION] = HARDLY_SHOWS * diagonal[:, DIRECTION].sum(axis=1, keepdims=True)
+            matrix = normal.matrix + np.diag(added.ravel())
+            normal = replace(normal, matrix=matrix, local=normal.local + stiff)
+            step, local = damped_step(normal, np.array([LEAST_DAMPING]))
+            beam = step.reshape(readings.beams, -1)
+            beam[:, :3] -= np.outer(beam[:, :3] @ axis, axis)
+            at = moved(at, beam, local[0], centres)
+    except (GrazingBeamError, np.linalg.LinAlgError):
+        return None
+    return at if at.finite() else None
 
 
 def image_in_plane(
@@ -244,7 +298,7 @@ def reflected(
     return Parameters(*beams, at.normals - turned, offsets)
 
 
-def squares_of(at: Parameters, readings: Readings, how: Whitening | None) -> float:
+def squares_of(at: Parameters, readings: Readings, how: Whitening | None = None) -> float:
     """Return the sum of whitened squares [m^2], infinite where a beam grazes its plane."""
     e = model.residuals_or_infinite(at, readings)
     e = e if how is None or not np.isfinite(e).all() else how.apply(e)

@@ -26,24 +26,22 @@ Where the hand turns about one axis only, planes whose lean is not significant a
 lean that noise gives them, heights would look determined that are not.
 """
 
-from dataclasses import replace
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 
-from .. import model
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..model.equation import plausible_range_errors
 from ..model.families import BEAM, MOUNT_DIM, PLANE
-from ..model.reduction import damped_step
 from ..model.weighting import Whitening
-from ..quantities import KNOWN, MOST_ROUNDS, NEGLIGIBLE, ROUNDING
-from ..solvers.beam_problem import LEAST_DAMPING, linearized, moved, refine, refine_many
+from ..quantities import KNOWN, MOST_ROUNDS, NEGLIGIBLE
+from ..solvers.beam_problem import linearized, moved, refine, refine_many
 from ..starts.directions import direction_starts, random_starts
 from ..starts.growing import EXCERPT_READINGS
-from .motion import poor_motion, reflected, some_plane_leans, squares_of
+from .motion import poor_motion, reflected, set_upright, some_plane_leans, squares_of
 from .rank import Observability, ObservabilityOptions, observability
 
 
@@ -130,29 +128,10 @@ def upright(parameters: Parameters, judge: Judge) -> Parameters | None:
     if motion is None or not motion.axis.any():
         return None
     readings, how = judge.readings, judge.whitening
-    try:
-        if some_plane_leans(motion, parameters, readings, judge.range_sigma, how):
-            return None
-        lean = (parameters.normals * motion.upright).sum(axis=1, keepdims=True)
-        normals = model.normalized(parameters.normals - lean * motion.upright)
-        _, centres = linearized(parameters, readings, 0, how)
-        turned = ((parameters.normals - normals) * centres).sum(axis=1)
-        at = replace(parameters, normals=normals, offsets=parameters.offsets + turned)
-        for _ in range(5):  # steps of all but the leans, which are short from the beginning
-            normal, centres = linearized(at, readings, 0, how)
-            slope = np.einsum("pia,pi->pa", model.tangent_basis(at.normals), motion.upright)
-            stiff = np.zeros_like(normal.local)
-            stiff[0, :, :2, :2] = np.einsum("pa,pb->pab", slope, slope)
-            # A lean is not to change: it gets far more information than its plane has.
-            stiff *= 1.0 / ROUNDING * np.einsum("kmii->km", normal.local)[..., None, None]
-            normal = replace(normal, local=normal.local + stiff)
-            step, local = damped_step(normal, np.array([LEAST_DAMPING]))
-            beam = step.reshape(readings.beams, -1)
-            beam[:, :3] -= np.outer(beam[:, :3] @ motion.axis, motion.axis)  # heights do not show
-            at = moved(at, beam, local[0], centres)
-    except (GrazingBeamError, np.linalg.LinAlgError):
-        return None
-    return at if at.finite() else None
+    with suppress(GrazingBeamError):
+        if not some_plane_leans(motion, parameters, readings, judge.range_sigma, how):
+            return set_upright(motion, parameters, readings, how)
+    return None
 
 
 def _drawn_to_the_hand(
@@ -281,4 +260,7 @@ def least_observed(
         others.insert(0, standing)
     found = [(one, seen) for one in others if (seen := judge.seen(one)) is not None]
     here, least = min(found, key=lambda one: one[1].rank, default=(parameters, observed))
+    # Its heights are zero already, and steps along elevations of level beams would undo that.
+    if here is standing and not judge.free_terms:
+        return here, least
     return held(here, least, judge)
