@@ -36,10 +36,10 @@ from ..quantities import (
 from .block import Rows, Slot, Values, Weights
 from .distributions import gaussian_quantile
 from .errors_together import DISTANCES, FEWEST_SHOTS, common_growth, growth_by_distance
-from .range_blocks import Ranges
+from .range_blocks import LEAST_SLOPE, Ranges
 from .reduced_information import inverse_stack
 from .sensors.kinds import Kind, Rayset
-from .sensors.mounted import LEAST_SLOPE, SENSOR
+from .sensors.mounted import SENSOR
 from .shapes import HARDLY, Round, Shape, solved, some_rays
 
 TRIALS = 32
