@@ -655,7 +655,7 @@ def _inside(rows: SurveyRows, *, single: bool = False, rest: bool = False) -> In
     """Return what shots tell of the noise inside them; beams and the aiming tell nothing.
 
     Rows of single readings say it themselves: shots of such readings count only if `single` is set, and
-    then no others do. If `rest` is set, what range errors may explain tells it: all that few points say.
+    then no others do. If `rest` is set, so does what range errors may explain, where points are few.
     """
     squares, dof = np.zeros((2, len(set(rows.sources.values())) + 1))
     for member in range(len(rows.survey.shots)):
