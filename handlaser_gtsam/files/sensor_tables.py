@@ -309,7 +309,7 @@ class SurveyTables:
 def _copy_warnings(
     table: SensorTable, station: IntArray, doubled: IntArray, names: Sequence[str]
 ) -> list[CalibrationWarning]:
-    """Warn of stations (K,) all of whose points stand more than once, of those of all points (N,)."""
+    """Warn of stations (K,) all of whose points stand more than once; points are at stations (N,)."""
     if not len(doubled):
         return []
     values: Values = {"sensor": table.name, "stations": len(np.unique(station))}

@@ -66,7 +66,7 @@ ALONG = 0.95
 """A location is undetermined along the axis of the turns where this part of the axis is."""
 HARDLY_SHOWS = 1e-3
 """An elevation with this part of the information of its direction is taken for one that a level beam
-has: before upright walls, it is that of two degrees."""
+has: before upright walls, an elevation of two degrees has this part."""
 
 SEEN = {"beam": "plane", "sensor": "target"}
 """What is looked at, by what sits in the hand."""
