@@ -25,6 +25,7 @@ from handlaser_gtsam.files.sensor_tables import (
     _refuse_exchanged,
     directions_of,
 )
+from handlaser_gtsam.results.survey_relations import said_by_readings
 
 
 @pytest.fixture
@@ -464,11 +465,12 @@ def test_a_true_relation_helps_and_a_false_one_is_named(folder, handlaser, monke
 
 
 def require_nothing_else(result):
-    """Of a false relation the headline says that it is false, and nothing else."""
+    """The headline says that a relation is false, what readings say in its place, and nothing else."""
     (words,) = (one.message for one in result.warnings if one.code == "relation-contradicted")
     assert result.status == "contradicted"
     assert result.message == words
-    assert result.verdict.findings == (words,)
+    ((_, said),) = said_by_readings(result)
+    assert result.verdict.findings == (words, f"without it {said}")
     assert result.verdict.code == "contradicted"
 
 
