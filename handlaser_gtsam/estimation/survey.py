@@ -562,9 +562,9 @@ def _without_off_target(state: SurveyState) -> SurveyState | None:
 
 
 def _begun_off_balls(state: SurveyState) -> SurveyState | None:
-    """Return a quick start without readings of beams at the balls of sensors; None if none fits.
+    """Return a quick start without readings of beams that miss the balls of sensors.
 
-    All readings count again where they fit there; else those that do not are off their target.
+    None where it does not fit, or where all readings fit there.
     """
     rows, items = state.rows, state.rows.items
     balls = {i.target for i in items if i.family == SENSOR.name and i.target[0] == SPHERE.name}
@@ -579,8 +579,10 @@ def _begun_off_balls(state: SurveyState) -> SurveyState | None:
         return None
     whole = replace(state, values=part.values)
     leave_out_gross(whole)
-    if _surely_fits(whole):
-        return whole
+    if _surely_fits(
+        whole
+    ):  # they do see the balls, and what keeps a quick start away is something else
+        return None
     begun = replace(state, values=part.values, used=~off)
     begun.used[~off] = part.used
     for mount in by_mount(rows.counted(off)):
