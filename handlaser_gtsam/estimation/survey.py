@@ -579,9 +579,7 @@ def _begun_off_balls(state: SurveyState) -> SurveyState | None:
         return None
     whole = replace(state, values=part.values)
     leave_out_gross(whole)
-    if _surely_fits(
-        whole
-    ):  # they do see the balls, and what keeps a quick start away is something else
+    if _surely_fits(whole):  # the balls are seen: something else keeps a quick start away
         return None
     begun = replace(state, values=part.values, used=~off)
     begun.used[~off] = part.used
