@@ -44,7 +44,7 @@ def at_truth(part=1.0, seed=0):
     prior = np.array([[0.0, 0.0], [0.01, 0.0]])
     rows = LinearRows(at, readings, how, prior, readings.station)
     R, t = recording.world_R_hand, recording.world_t_hand
-    pose_at = poses_from_mean(R, t, np.arange(len(t)))
+    pose_at = poses_from_mean(R, t, (R, t))
     unit = ErrorsByPose(pose_at[rows.position], rows.linear.pose)
     return rows, unit, pose
 

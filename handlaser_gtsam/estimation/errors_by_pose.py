@@ -31,7 +31,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray
 from ..model.distributions import SINGLE_LEVEL, UNLIKELY_EXCESS, chi2_cdf
 from ..model.families import POSE
 from ..quantities import TINY
@@ -85,10 +85,10 @@ class SizesByPose(NamedTuple):
 
     @property
     def doubt_the_stated(self) -> bool:
-        """Whether residuals are smaller than stated errors of the hand, and no other errors seen.
+        """Whether the errors that are stated of the hand are likely too large.
 
-        Those that change with the pose then count for the difference, though smaller ones that do not
-        are more likely.
+        Residuals are smaller than these make them at single stations. Smaller errors explain that
+        better than errors that change with the pose, which are counted all the same.
         """
         return not self.learned and self.excess < 0.0 and self.growth > 1.0
 
@@ -153,10 +153,10 @@ class ErrorsByPose(NamedTuple):
         return self._replace(sizes=self.sizes._replace(growth=growth))
 
 
-def poses_from_mean(R: FloatArray, t: FloatArray, read: IntArray) -> FloatArray:
-    """Return poses R (M, 3, 3), t (M, 3) [m] from the mean of some: turn [rad], shift [m] (M, 6)."""
-    turns = Rotation.from_matrix(R)
-    return np.hstack(((turns[read].mean().inv() * turns).as_rotvec(), t - t[read].mean(axis=0)))
+def poses_from_mean(R: FloatArray, t: FloatArray, of: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Return poses R (M, 3, 3), t (M, 3) [m] from the mean `of` others: turns, shifts (M, 6)."""
+    mean = Rotation.from_matrix(of[0]).mean()
+    return np.hstack(((mean.inv() * Rotation.from_matrix(R)).as_rotvec(), t - of[1].mean(axis=0)))
 
 
 class Likelihood(NamedTuple):

@@ -7,7 +7,7 @@ because their points share what made them wrong; points within a shot were sorte
 condensed.
 """
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -20,7 +20,7 @@ from ..data.value import Value
 from ..errors import InputError
 from ..model.condensed_shots import Mixed, Unexplained
 from ..model.distributions import FAMILY_LEVEL, chi2_sf, f_sf
-from ..model.families import BEAM, FAMILIES
+from ..model.families import BEAM
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
@@ -54,12 +54,12 @@ from .survey_outliers import (
     sortable,
     sorted_again,
     started_from_halves,
+    without_off_target,
     worst_changed,
 )
 from .survey_planes import with_planes_ahead
 from .survey_rows import (
     AIMING_SIGMA,
-    Entity,
     Item,
     SurveyRows,
     about_errors,
@@ -274,7 +274,7 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
         settled, doubtful = True, _doubtful(state)
         first = min(first, first_fit(state), key=lambda one: one.misfit)
         again, others = best_image(state, _settle_near)
-    seen = _without_off_target(state) if doubtful else None
+    seen = without_off_target(state) if doubtful else None
     if seen is not None and _settle_near(seen) and not _doubtful(seen):
         state.take(seen)
         settled, doubtful = True, []
@@ -533,34 +533,6 @@ def _doubtful(state: SurveyState) -> list[str]:
     return [name for name, used in shares.items() if np.mean(used) < 1.0 - MOST_REJECTED]
 
 
-def _without_off_target(state: SurveyState) -> SurveyState | None:
-    """Return a state without the readings of beams at targets that they do not see; None for none.
-
-    A beam beside a profiler may read the table behind its ball. Of such a beam and target more than
-    `MOST_REJECTED` of the readings are rejected, while sensors of many rays, which lose no more of
-    their shots there, say more of the target than its unknowns, and the other readings more of the
-    beam. No sensor of many rays is excused like that: planes look alike from one that is read inside
-    out.
-    """
-    rows, shares = state.rows, defaultdict[tuple[Entity, Entity], list[bool]](list)
-    numbers = Counter[Entity]()
-    for item, used in zip(rows.items, state.used.tolist(), strict=True):
-        shares[item.mount, item.target].append(used)
-        if used and item.family == SENSOR.name:
-            numbers[item.target] += item.numbers
-    lost = {pair for pair, used in shares.items() if np.mean(used) < 1.0 - MOST_REJECTED}
-    unsure = {target for mount, target in lost if mount[0] == SENSOR.name}
-    sure = {one for one in numbers.keys() - unsure if numbers[one] > FAMILIES[one[0]].dim}
-    off = np.array([(i.mount, i.target) in lost and i.target in sure for i in rows.items])
-    left = Counter(item.mount for item in rows.counted(state.used & ~off))
-    if not off.any() or min(left[item.mount] for item in rows.counted(off)) <= BEAM.dim:
-        return None
-    items, off_target = tuple(rows.counted(~off)), (*rows.off_target, *rows.counted(off))
-    return replace(
-        state, rows=replace(rows, items=items, off_target=off_target), used=state.used[~off]
-    )
-
-
 def _begun_off_balls(state: SurveyState) -> SurveyState | None:
     """Return a quick start without readings of beams that miss the balls of sensors.
 
@@ -588,7 +560,7 @@ def _begun_off_balls(state: SurveyState) -> SurveyState | None:
         own = off & np.array([item.mount == mount for item in items])
         alone = replace(of(own), values=part.values)
         begun.used[own] = alone.misfits() <= GROSS
-    return _without_off_target(begun)
+    return without_off_target(begun)
 
 
 def _some_relation_is_contradicted(state: SurveyState) -> bool:

@@ -45,7 +45,7 @@ def survey_errors_by_pose(
             return whole
         return _likelihood(replace(state, sizes=state.sizes.with_hand_times(part)), inside)
 
-    pose, read = _poses(state)
+    pose, read = _poses(state), _stations(state)
     stated = by_metre_and_radian(state.pose_covariance()[read], pose[read], unknown)
     rows, unit = _seen(state)
     found = sizes_by_pose(likelihood, unknown, stated)
@@ -58,25 +58,33 @@ def of_other_stations(
     sizes: SizesByPose, state: SurveyState, rows: DenseRows, R: FloatArray, t: FloatArray
 ) -> ErrorsByPose:
     """Return what errors of such sizes, learned at a state, do to rows of other stations R, t [m]."""
-    of = state.rows.survey.stations
-    every = np.concatenate((of.world_R_hand, R)), np.concatenate((of.world_t_hand, t))
-    pose = poses_from_mean(*every, _poses(state)[1])[len(of) :]
+    pose = poses_from_mean(R, t, _read(state))
     moved = rows.how.apply_rows(rows.by_pose) * np.repeat([sizes.turn, sizes.shift], 3)
     return ErrorsByPose(pose[rows.station], moved, sizes)
 
 
-def _poses(state: SurveyState) -> tuple[FloatArray, IntArray]:
-    """Return the poses (M, 6) of all stations from the mean one of those that count, and these."""
+def _poses(state: SurveyState) -> FloatArray:
+    """Return the poses (M, 6) of all stations from the mean one of those that count."""
     stations = state.rows.survey.stations
-    read = np.unique([item.station for item in state.rows.counted(state.used)])
-    return poses_from_mean(stations.world_R_hand, stations.world_t_hand, read), read
+    return poses_from_mean(stations.world_R_hand, stations.world_t_hand, _read(state))
+
+
+def _stations(state: SurveyState) -> IntArray:
+    """Return the stations that count."""
+    return np.unique([item.station for item in state.rows.counted(state.used)])
+
+
+def _read(state: SurveyState) -> tuple[FloatArray, FloatArray]:
+    """Return the poses of the stations that count."""
+    stations, read = state.rows.survey.stations, _stations(state)
+    return stations.world_R_hand[read], stations.world_t_hand[read]
 
 
 def _seen(state: SurveyState) -> tuple[DenseRows, ErrorsByPose]:
     """Return the rows of a state, and errors of one by metre and radian as these see them, whitened."""
     rows, owner = state.dense()
     stop = state.stops(owner)
-    pose = _poses(state)[0][stop]
+    pose = _poses(state)[stop]
     return rows, ErrorsByPose(pose * (stop >= 0)[:, None], rows.how.apply_rows(rows.by_pose))
 
 

@@ -16,6 +16,7 @@ else. Where errors of the hand are larger than those of a reading, a shot before
 readings better; before a sphere, whose shape takes most of them, it never does.
 """
 
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -27,13 +28,14 @@ from ..model.block import Values
 from ..model.condensed_shots import MANY
 from ..model.distributions import FAMILY_LEVEL, chi2_sf, f_sf
 from ..model.equation import corrected
-from ..model.families import PLANE, POSE, pose_of
+from ..model.families import BEAM, FAMILIES, PLANE, POSE, pose_of
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE, continued
 from ..model.targets_in_shots import condensed_shots
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, TINY
 from .dense import tests_of
+from .estimate import MOST_REJECTED
 from .joint_solution import STEPS_IN_VAIN
 from .survey_mirror import numbers_of
 from .survey_planes import Planes, other_planes_taken
@@ -136,6 +138,34 @@ def started_from_halves(state: SurveyState) -> bool:
         good = state.misfits() <= GROSS * max(least, 1.0)
     state.used = good
     return True
+
+
+def without_off_target(state: SurveyState) -> SurveyState | None:
+    """Return a state without the readings of beams at targets that they do not see; None for none.
+
+    A beam beside a profiler may read the table behind its ball. Of such a beam and target more than
+    `MOST_REJECTED` of the readings are rejected, while sensors of many rays, which lose no more of
+    their shots there, say more of the target than its unknowns, and the other readings more of the
+    beam. No sensor of many rays is excused like that: planes look alike from one that is read inside
+    out.
+    """
+    rows, shares = state.rows, defaultdict[tuple[Entity, Entity], list[bool]](list)
+    numbers = Counter[Entity]()
+    for item, used in zip(rows.items, state.used.tolist(), strict=True):
+        shares[item.mount, item.target].append(used)
+        if used and item.family == SENSOR.name:
+            numbers[item.target] += item.numbers
+    lost = {pair for pair, used in shares.items() if np.mean(used) < 1.0 - MOST_REJECTED}
+    unsure = {target for mount, target in lost if mount[0] == SENSOR.name}
+    sure = {one for one in numbers.keys() - unsure if numbers[one] > FAMILIES[one[0]].dim}
+    off = np.array([(i.mount, i.target) in lost and i.target in sure for i in rows.items])
+    left = Counter(item.mount for item in rows.counted(state.used & ~off))
+    if not off.any() or min(left[item.mount] for item in rows.counted(off)) <= BEAM.dim:
+        return None
+    items, off_target = tuple(rows.counted(~off)), (*rows.off_target, *rows.counted(off))
+    return replace(
+        state, rows=replace(rows, items=items, off_target=off_target), used=state.used[~off]
+    )
 
 
 def worst_changed(state: SurveyState) -> bool:

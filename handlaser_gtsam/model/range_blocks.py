@@ -254,6 +254,29 @@ def members(values: Values, family: str, member: IntArray, rays: int = 1) -> Flo
     return of_groups(values[family], member, rays)
 
 
+def as_read(
+    reading: FloatArray, errors: FloatArray, by_error: FloatArray, linear: int
+) -> Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return `Rays.read` of sensors whose true range is the reading and the sum of errors * by_error.
+
+    `linear` is the number of k1 among the errors (n, ...), and k2 follows it. The reading of a true
+    range s is a step from what was read, by the slope there.
+    """
+    k1, k2 = errors[linear], errors[linear + 1]
+
+    def read(s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        longer = np.einsum("i...,i...->...", errors, by_error)
+        slope = 1.0 / np.maximum(1.0 + k1 + 2.0 * k2 * reading, LEAST_SLOPE)
+        e = (s - reading - longer) * slope
+        columns = -by_error * slope
+        columns = np.broadcast_to(columns, (len(columns), *e.shape)).copy()
+        columns[linear] -= e * slope
+        columns[linear + 1] -= 2.0 * e * reading * slope
+        return reading + e, slope, columns
+
+    return read
+
+
 def of_groups(x: FloatArray, member: IntArray, rays: int = 1) -> FloatArray:
     """Return what `members` does of numbers (K, n, size)."""
     x = x.transpose(2, 0, 1)

@@ -18,7 +18,7 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..errors import InputError
-from ..estimation.errors_by_pose import SizesByPose
+from ..estimation.errors_by_pose import ErrorsByPose, SizesByPose, poses_from_mean
 from ..model.effects import EFFECTS, OF_READINGS, OF_STATIONS
 from ..model.effects.effect import Everywhere, SeenStations
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, POSE, RANGE_ERROR, modelled
@@ -48,15 +48,14 @@ class ByPose(NamedTuple):
     ----------
     size : (6,)
         Standard deviations of turns [rad] and shifts [m] by metre and radian.
-    R : (3, 3), t : (3,)
-        Mean pose of the hand in the recording, from which they change.
+    of : (S, 3, 3) and (S, 3)
+        Poses of the hand in the recording, from whose mean they change.
     counted : (U, 36)
         G of `choice`, of the recording.
     """
 
     size: FloatArray
-    R: FloatArray
-    t: FloatArray
+    of: tuple[FloatArray, FloatArray]
     counted: FloatArray
 
 
@@ -278,17 +277,16 @@ def _with_errors_by_pose(belief: Belief, used: Recording, sizes: SizesByPose) ->
     if sizes.growth <= 1.0:
         return belief
     read = ~np.isnan(used.ranges).all(axis=1)
-    R, t = used.world_R_hand[read], used.world_t_hand[read]
+    of = used.world_R_hand[read], used.world_t_hand[read]
     size = np.repeat([sizes.turn, sizes.shift], 3)
-    mean = Rotation.from_matrix(R).mean().as_matrix(), t.mean(axis=0)
     nothing = np.zeros((len(belief.covariance), POSE.dim**2))
-    rows = recorded_rows(replace(belief, by_pose=ByPose(size, *mean, nothing)), used)
+    rows = recorded_rows(replace(belief, by_pose=ByPose(size, of, nothing)), used)
     A, F = np.split(rows.reshape(-1, rows.shape[-1]), [len(nothing)], axis=1)
     S, G = belief.covariance, A.T @ F
     square, axes = np.linalg.eigh(G.T @ S @ G)
     K = 0.5 * (np.sqrt(1.0 + 4.0 * np.maximum(square, 0.0)) - 1.0)
     L = S @ G @ axes / (1.0 + K)
-    return replace(belief, covariance=S - L @ L.T, by_pose=ByPose(size, *mean, G))
+    return replace(belief, covariance=S - L @ L.T, by_pose=ByPose(size, of, G))
 
 
 def _with_freed(
@@ -384,11 +382,10 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
                 assert isinstance(found, Everywhere), "it is of stations"
                 rows[:, column] = found.columns[:, 0]
     if belief.by_pose is not None:
-        size, R, t, _ = belief.by_pose
-        turned = Rotation.from_matrix(R).inv() * Rotation.from_matrix(stations.world_R_hand)
-        pose = np.hstack((turned.as_rotvec(), stations.world_t_hand - t))[readings.station]
+        size, of, _ = belief.by_pose
+        pose = poses_from_mean(stations.world_R_hand, stations.world_t_hand, of)
         moved = model.linearize(x, readings.distance, with_pose=True).pose * size
-        rows = np.hstack((rows, (pose[:, :, None] * moved[:, None]).reshape(len(rows), -1)))
+        rows = np.hstack((rows, *ErrorsByPose(pose[readings.station], moved).columns))
     how = whitening(belief.mean, readings, belief.variances.for_stations(len(stations)))
     return (how.apply_rows(rows) / how.sigma).reshape(len(stations), belief.beams, -1)
 

@@ -151,8 +151,8 @@ class _Exchange:
             root = axes * ((size / unit) ** (power / 2.0))[:, None]
             T = T @ root[:, None]
         if self.criterion == "D":
-            G = T @ np.swapaxes(T, -1, -2)
-            return np.asarray(np.linalg.slogdet(S)[1] - np.linalg.slogdet(S - G)[1])
+            gained = T @ np.swapaxes(T, -1, -2)
+            return np.asarray(np.linalg.slogdet(S)[1] - np.linalg.slogdet(S - gained)[1])
         return np.asarray((T * (np.linalg.inv(S) @ T)).sum(axis=(-2, -1)))  # tr(T' inv(S) T)
 
     def take(self, candidate: int, place: int | None = None) -> None:

@@ -177,7 +177,6 @@ class Aim:
     by_pose : (U, c)
         What c errors of the hand that change with its pose add to that, none where not given: G of
         `choice`. Rows of stations have their effect, of unit variance, in c columns at the end.
-
     """
 
     def __init__(

@@ -183,9 +183,8 @@ class _Known(Aim):
     def forecast(self, rows: FloatArray) -> Forecast:
         """Return what will be known after each station; NaN where something is undetermined."""
         told, known = self._rows, [not self._open]
-        for station in rows[
-            ..., : len(self._unit)
-        ]:  # of unit weight and in natural units: do they determine all unknowns
+        # Of unit weight and in natural units: do they determine all unknowns?
+        for station in rows[..., : len(self._unit)]:
             told = np.vstack((told, station * self._unit))
             information = np.asarray(np.linalg.svd(told, compute_uv=False) ** 2, dtype=np.float64)
             known.append(known[-1] or bool(information.min() >= least_information(information)))

@@ -51,7 +51,7 @@ def errors_by_pose(
     read, first, at = np.unique(rows.readings.station, return_index=True, return_inverse=True)
     where = rows.position[first]  # in an order that the file has no part in
     R, t = stations.world_R_hand[where], stations.world_t_hand[where]
-    pose = poses_from_mean(R, t, np.arange(len(t)))
+    pose = poses_from_mean(R, t, (R, t))
     unit = ErrorsByPose(pose[at], rows.linear.pose)
     learned = None if solution.posterior is None else solution.posterior.learned
     unknown = () if learned is None else learned.scales.of_hand

@@ -35,9 +35,9 @@ def said_by_readings(result: "SurveyCalibration") -> Iterator[tuple[str, str]]:
         if measured is None:
             continue
         values, sigmas = measured
-        stated = np.atleast_1d(known.value if known.direction is None else known.direction)
-        if known.relation == "plane":
-            stated = np.array([known.value])
+        stated = np.array([known.value])
+        if known.relation == "position" and known.direction is not None:
+            stated = known.direction
         factor, unit = (IN_DEG, "deg") if known.relation == "angle" else (IN_MM, "mm")
         sigma = float(sigmas.max()) * factor
         digits = decimals(sigma, 4)

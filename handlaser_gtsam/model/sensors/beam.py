@@ -12,7 +12,7 @@ The shortest ray moves along the cone when v turns, but its range does not chang
 shortest: its derivatives are as of a ray that is fixed to the cone.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ...arrays import FloatArray, IntArray
 from ...quantities import TINY
 from ..block import Values
 from ..families import BEAM, OF_DIRECTION, bases
-from ..range_blocks import LEAST_SLOPE, Rays, dot, members, of_groups, spread
+from ..range_blocks import Rays, as_read, dot, members, of_groups, spread
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,28 +47,9 @@ class BeamSensor:
         k1, k2 = x[6], x[7]
         true = reading * (1.0 + k1 + k2 * reading)
         by_error = np.stack((reading, reading**2))
-        rays = Rays(
-            x[:3],
-            x[3:6],
-            reading,
-            true,
-            by_error,
-            towards=self._within if self.half_angle else None,
-        )
-        if not self.as_read:
-            return rays
-
-        def read(s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Return the reading of a true range s: a step from what was read, by the slope there."""
-            slope = 1.0 / np.maximum(1.0 + k1 + 2.0 * k2 * reading, LEAST_SLOPE)
-            e = (s - true) * slope
-            return (
-                reading + e,
-                slope,
-                -slope * np.stack((reading + e, reading * (reading + 2.0 * e))),
-            )
-
-        return replace(rays, read=read)
+        towards = self._within if self.half_angle else None
+        read = as_read(reading, x[6:8], by_error, 0) if self.as_read else None
+        return Rays(x[:3], x[3:6], reading, true, by_error, towards=towards, read=read)
 
     def _within(self, axis: FloatArray, nearest: FloatArray) -> FloatArray:
         """Return the directions (3, ...) next to `nearest` that a cone about the axis has."""

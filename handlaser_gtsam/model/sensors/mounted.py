@@ -13,7 +13,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ..block import Values
 from ..families import Family, Motion, Vector, register
-from ..range_blocks import LEAST_SLOPE, Rays, by_motion, dot, members, turned, turned_back
+from ..range_blocks import Rays, as_read, by_motion, dot, members, turned, turned_back
 
 SENSOR = register(Family("sensor", Motion(), Vector("k0_m", "k1", "k2_per_m", "scale")))
 """hand_T_sensor, moved in the sensor's own frame; then the range error."""
@@ -56,20 +56,7 @@ class Mounted:
             turn = (turn - direction * dot(direction, turn)) / length
             by_scale = turned(R, shift), turned(R, turn)
         origin, direction = turned(R, origin) + x[9:12], turned(R, direction)
-        errors, by_error = x[12:], self.by_error
-        _, k1, k2, _ = errors
-
-        def read(s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Return the reading of a true range s: a step from what was read, by the slope there."""
-            longer = np.einsum("i...,i...->...", errors, by_error)
-            slope = 1.0 / np.maximum(1.0 + k1 + 2.0 * k2 * reading, LEAST_SLOPE)
-            e = (s - reading - longer) * slope
-            columns = -by_error * slope
-            columns = np.broadcast_to(columns, (len(columns), *e.shape)).copy()
-            columns[1] -= e * slope
-            columns[2] -= 2.0 * e * reading * slope
-            return reading + e, slope, columns
-
+        read = as_read(reading, x[12:], self.by_error, 1)
         return Rays(origin, direction, reading, reading, read=read, by_scale=by_scale)
 
     def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
