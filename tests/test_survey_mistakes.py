@@ -15,6 +15,7 @@ import handlaser_gtsam as hl
 from benchmarks import rigs_by_distance, rigs_by_rays
 from benchmarks.rigs import survey_of
 from handlaser_gtsam.errors import SolverError
+from handlaser_gtsam.estimation.survey_outliers import without_off_target
 from handlaser_gtsam.estimation.survey_rows import rows_of
 from handlaser_gtsam.files.logs.format_checks import convention_of
 from handlaser_gtsam.files.logs.survey_conventions import (
@@ -422,6 +423,24 @@ def test_wrong_labels_are_found_beside_beams():
     (mount,) = found.sensors.values()
     off = mount.location - rig.truth[mount.name][:3, 3]
     assert (np.abs(off) < 5.0 * mount.location_sigma).all()
+
+
+def test_a_beam_is_off_its_target_only_where_its_other_readings_determine_it():
+    """Seven unknowns need more than seven readings elsewhere."""
+    rig = rigs_by_rays.mixed(
+        1, sensors=("profiler", "beam", "beam"), targets="planes+sphere", planes=2, stations=8
+    )
+    state = hl.calibrate(survey_of(rig))._found.ended()
+    items = state.rows.items
+    at_ball = np.array([i.family == "beam" and i.target[0] == "sphere" for i in items])
+    of_first = np.flatnonzero([i.mount == ("beam", 0) and i.target[0] != "sphere" for i in items])
+    for left, is_off in ((8, True), (7, False)):
+        there = ~np.isin(np.arange(len(items)), of_first[left:])
+        rows = replace(state.rows, items=tuple(state.rows.counted(there)))
+        seen = without_off_target(replace(state, rows=rows, used=~at_ball[there]))
+        assert (seen is not None) == is_off
+        if seen is not None:
+            assert len(seen.rows.off_target) == at_ball.sum() > 0
 
 
 @pytest.mark.slow

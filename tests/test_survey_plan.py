@@ -21,6 +21,7 @@ from handlaser_gtsam.files.recording_csv import write_stations
 from handlaser_gtsam.planning import plan as planning
 from handlaser_gtsam.planning.survey import _Known, _Look
 from handlaser_gtsam.planning.workspace import Workspace
+from handlaser_gtsam.results.spots import radius
 from handlaser_gtsam.validation.simulate import Stations
 
 needs_pinocchio = pytest.mark.skipif(not HAS_PINOCCHIO, reason="needs pinocchio")
@@ -214,6 +215,24 @@ def test_what_is_promised_on_an_arm_that_errs_is_what_comes(sensor):
     independent = every.copy()
     independent[..., len(known.covariance) :] = 0.0
     assert known.forecast(independent).spot[-1] < 0.75 * came
+
+
+def test_the_same_stations_again_leave_what_changes_with_the_pose():
+    """Noise is halved by them, and errors that are the same at all stations stay as they are."""
+    scene = Scene(Case("camera", False, True), 100)
+    first = hl.calibrate(scene.survey(), scene.noise)
+    known, rows = _Known(first, {("sensor", 0)}, hl.planning.Goal()), []
+    for plate in range(4):
+        look = _Look(first, [i for i in first._found.rows.items if i.target[1] == plate])
+        of, at = scene.survey().stations, scene.plate == plate
+        poses = of.world_R_hand[at], of.world_t_hand[at]
+        rows.append(look.rows(Stations(*poses, np.full(len(poses[0]), plate)))[1])
+    (mount,) = known.mounts
+    moved = mount.spot @ known.covariance @ known.by_pose
+    noise = 0.5 * mount.spot @ known.covariance @ mount.spot.T
+    found = known.forecast(np.concatenate(rows)).spot[-1]
+    assert found == pytest.approx(radius(noise + moved @ moved.T), rel=0.05)
+    assert radius(moved @ moved.T) > 0.8 * found
 
 
 def test_a_plan_ends_where_its_goal_is_reached():
