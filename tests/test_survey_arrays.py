@@ -69,6 +69,28 @@ def test_offsets_of_zones_are_no_noise_that_stations_lessen(size):
     assert np.mean(squares) < 1.7  # 36 numbers, 3 of 1000
 
 
+@pytest.mark.parametrize("few", [4, 5, 6, 7])
+def test_few_zones_of_a_shot_are_enough(few):
+    """A plane passes through three readings: half of five or six is no consensus, and all count."""
+    exact = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
+    tangents = np.stack(np.meshgrid(*2 * [np.linspace(-0.35, 0.35, 6)]), axis=-1).reshape(-1, 2)
+    survey, mount, place = rough(
+        1, stations=24, sigma=3e-3, zones=np.column_stack((tangents, np.ones(36)))
+    )
+    (shots,), rng = survey.shots, np.random.default_rng(few)
+    some = np.concatenate([36 * k + rng.choice(36, few, replace=False) for k in range(24)])
+    read = shots.station[some], shots.across[some], shots.reading[some]
+    found = hl.calibrate(replace(survey, shots=(hl.Shots.array("tof", *read, "radial"),)), exact)
+    assert found.usable, found.verdict.sentence
+    assert not found.rejected
+    sensor = found.sensors["tof"]
+    turn = Rotation.from_matrix(sensor.rotation.T @ mount).as_rotvec()
+    error = np.concatenate((turn, sensor.rotation.T @ (place - sensor.location)))
+    known = np.isfinite(np.diagonal(sensor.covariance[:6, :6]))
+    C = sensor.covariance[:6, :6][np.ix_(known, known)]
+    assert error[known] @ np.linalg.solve(C, error[known]) < 22.5  # 1 of 1000
+
+
 @pytest.mark.slow
 def test_noise_of_a_rough_array_is_no_range_error():
     """Residuals are in units of the reading: else k1 would be found near -1 in each."""

@@ -198,7 +198,8 @@ def _condensed(
     if n <= few:
         every = range(G)
         return [_as_they_are(shape, some_rays(rays, g), as_read[g], kept[g], scale) for g in every]
-    if sorted_out or n <= shape.size + 1:
+    # Any shape passes through as many points as it has numbers: those are no consensus.
+    if sorted_out or int(share_of(n)[0] * (n - 1)) < shape.size:
         found, fits, _ = fitted(shape, shape.through(rays, reading), rays, reading, kept)
     else:
         found, fits, kept = _robust(shape, rays, reading, sigma)

@@ -227,13 +227,15 @@ def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         if clear is None:
             continue
         sigma, miss = float(clear.noise.sigma[member]), _misses(found.rows, clear, member)
-        limit = 0.0
+        limit, beside = 0.0, False
         for near, far in pairwise(edges.tolist()):
             e = miss[(shots.before >= near) & (shots.before < far) & np.isfinite(miss)]
             middle = float(np.median(e)) if e.size else 0.0
             # The median of n Gaussian numbers has the variance pi / (2 n).
             chance = FAR_SIGMAS * sigma * np.sqrt(np.pi / (2.0 * max(e.size, 1)))
-            if abs(middle) > max(PULLED * sigma, chance):
+            # The pull fades with the distance: next to pulled readings it may be within the noise.
+            beside = abs(middle) > (chance if beside else max(PULLED * sigma, chance))
+            if beside:
                 limit = float(np.ceil(far * IN_MM))
         if limit:
             short = -float(np.median(miss[(shots.before * IN_MM < limit) & np.isfinite(miss)]))
