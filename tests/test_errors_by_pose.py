@@ -213,7 +213,7 @@ def test_a_guess_that_decides_the_standard_deviations_is_said(sensor, scale):
     found = hl.calibrate(scene.survey())
     assert found.errors_by_pose.guess_decides
     (said,) = (one for one in found.warnings if one.code == "errors-by-pose")
-    assert "is mostly a guess from what is usual of arms" in said.message
+    assert "mostly a guess from usual arms" in said.message
     assert (found.verdict.code, found.verdict.best.code) == ("usable-with-care", "errors-by-pose")
     assert said.message.partition(",")[0] in found.verdict.sentence
     stated = hl.Noise(pose_translation_sigma=2e-4, pose_rotation_sigma=2e-4)
