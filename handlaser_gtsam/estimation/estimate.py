@@ -39,6 +39,9 @@ NAMED_SHARE = 0.1
 """Coordinates with at least this part of the largest one, in natural units, name a direction."""
 
 
+Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class BlockProblem(Value):
     """What is estimated from which rows.
@@ -121,7 +124,7 @@ class Estimate(Value):
         For each block, the readings that the others contradict.
     """
 
-    status: Literal["converged", "undetermined", "contradicted", "not_converged"]
+    status: Status
     message: str
     values: Mapping[str, FloatArray]
     names: tuple[str, ...]
@@ -415,7 +418,7 @@ def judged(problem: BlockProblem, values: Values, given: Sequence[Block] = ()) -
     out = tuple(_counted(b, values) & ~_counted(left, values) for b, left in pairs)
     readings = _rows(_readings(given or blocks), values)
     many = sum(int(rows.sum()) for rows in out) >= int(MOST_REJECTED * readings) > 0
-    status: Literal["converged", "undetermined", "contradicted"] = "converged"
+    status: Status = "converged"
     message = f"chi2 {chi2:.4g} at {dof} degrees of freedom"
     if undetermined:
         status, message = "undetermined", f"the rows do not determine {'; '.join(undetermined)}"

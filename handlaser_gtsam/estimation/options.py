@@ -13,7 +13,8 @@ from ..model.losses import TUNING, LossName
 from ..model.sensor_limits import Sensor
 from ..observability.rank import ObservabilityOptions
 
-Poses = Literal["auto", "exact", "marginalised", "estimated"]
+ChosenPoses = Literal["exact", "marginalised", "estimated"]
+Poses = Literal["auto", ChosenPoses]
 RangeError = Literal["auto", "none", "k1", "k1k2"]
 Outliers = Literal["reject", "keep"]
 

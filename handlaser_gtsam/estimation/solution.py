@@ -12,7 +12,6 @@ not depend on how the undetermined ones are fixed.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import gtsam
 import numpy as np
@@ -32,6 +31,7 @@ from ..solvers.beam_problem import moved
 from ..solvers.graph import CalibrationGraph, read_parameters
 from ..solvers.graph_levenberg import LevenbergResult, Status, linearize
 from .learning_scales import LearnedScales, ScaleProblem, integrated_over
+from .options import ChosenPoses
 from .scales import NoiseComponent
 
 
@@ -180,7 +180,7 @@ class Solution:
         return bool(self.scales)
 
     @property
-    def poses(self) -> Literal["exact", "marginalised", "estimated"]:
+    def poses(self) -> ChosenPoses:
         """How errors of the hand poses counted."""
         if self.variances is None or self.variances.pose is None:
             return "exact"

@@ -266,20 +266,15 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
     settled = _settle_near(state)
     again, others = best_image(state, _settle_near)
     settled = settled if again is None else again
-    doubtful = _doubtful(state)
-    if (doubtful or not settled) and _blames_relations(state, settled):
-        settled, doubtful = True, _doubtful(state)
+    if (not settled or _doubtful(state)) and _blames_relations(state, settled):
+        settled = True
         first = min(first, first_fit(state), key=lambda one: one.misfit)  # without the relation
-    if state.relations and _some_relation_is_contradicted(state) and _image_that_agrees(state):
-        settled, doubtful = True, _doubtful(state)
-        first = min(first, first_fit(state), key=lambda one: one.misfit)
-        again, others = best_image(state, _settle_near)
-    seen = without_off_target(state) if doubtful else None
-    if seen is not None and _settle_near(seen) and not _doubtful(seen):
-        state.take(seen)
-        settled, doubtful = True, []
-        first = min(first, first_fit(state), key=lambda one: one.misfit)
-        again, others = best_image(state, _settle_near)
+    for found_better in (_image_that_agrees, _settled_without_off_target):
+        if found_better(state):
+            settled = True
+            first = min(first, first_fit(state), key=lambda one: one.misfit)
+            again, others = best_image(state, _settle_near)
+    doubtful = _doubtful(state)
     found = _judged(state)
     if found.status == "undetermined" and aim_freely(state):
         found = _judged(state)
@@ -340,23 +335,6 @@ def _judged(state: SurveyState) -> Estimate:
     """Return the estimate where a state stands."""
     problem, _ = state.problem()
     return judged(problem, dict(state.values))
-
-
-def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
-    """Go to the mirror image in the plane of the motion that fits a first state best.
-
-    Returns
-    -------
-    list of mapping
-        The values of other images that fit as well, as of `best_image`.
-    """
-
-    def settle(image: SurveyState) -> bool:
-        image.used = np.ones(len(image.rows.items), dtype=bool)
-        leave_out_gross(image)
-        return True
-
-    return best_image(state, settle)[1]
 
 
 def state_of(rows: SurveyRows, noise: Noise) -> SurveyState:
@@ -603,11 +581,13 @@ def _blames_relations(state: SurveyState, settled: bool) -> bool:
 
 
 def _image_that_agrees(state: SurveyState) -> bool:
-    """Go to a mirror image in the plane of the motion that no relation contradicts, if there is one.
+    """Go to a mirror image in the plane of the motion that agrees with relations, where this does not.
 
     Where relations are rough, a search may end between an image and what they say, with sizes of the
     noise that hide which image they mean.
     """
+    if not state.relations or not _some_relation_is_contradicted(state):
+        return False
     motion = motion_with_images(state.rows)
     for values in () if motion is None else images_of(state.rows, state.values, motion):
         every = np.ones(len(state.used), dtype=bool)
@@ -616,6 +596,15 @@ def _image_that_agrees(state: SurveyState) -> bool:
             state.take(image)
             return True
     return False
+
+
+def _settled_without_off_target(state: SurveyState) -> bool:
+    """Go on without beams at targets that they do not see, where much of some sensor is rejected."""
+    seen = without_off_target(state) if _doubtful(state) else None
+    if seen is None or not _settle_near(seen) or _doubtful(seen):
+        return False
+    state.take(seen)
+    return True
 
 
 def _names(rows: SurveyRows, item: Item) -> tuple[str, str]:

@@ -19,6 +19,7 @@ from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.errors_by_pose import SizesByPose
 from ..estimation.learning_scales import LearnedScales
+from ..estimation.options import ChosenPoses
 from ..estimation.scales import NoiseComponent
 from ..model.distributions import CONFIDENCE, chi2_sf, gaussian_quantile, student_quantile
 from ..model.effects import EFFECTS
@@ -192,7 +193,7 @@ class Fit(Value):
     sigma0: float
     range_sigma: float
     range_sigma_given: bool
-    poses: Literal["exact", "marginalised", "estimated"]
+    poses: ChosenPoses
     median_reading: float
     typical_range: float
     loss: LossName

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from ..arrays import BoolArray, FloatArray, IntArray, frozen
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Order, Readings, Recording, typical_range
+from ..estimation.options import ChosenPoses
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
 from ..model.equation import residuals, scene
@@ -129,7 +130,7 @@ def fit_of_rows(
     dof: int,
     range_sigma: float,
     given: bool,
-    poses: Literal["exact", "marginalised", "estimated"],
+    poses: ChosenPoses,
     loss: LossName,
 ) -> Fit:
     """Return the fit of residuals e (N,) [m], of which nothing is rejected; see `Fit` for the rest.

@@ -4,7 +4,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ..estimation.dense import unknowns_of
 from ..estimation.errors_by_pose import SizesByPose
 from ..estimation.estimate import (
     MOST_REJECTED,
+    Status,
     TestedEffect,
     covariance_along,
     information_axes,
@@ -53,8 +54,6 @@ from .warnings import DISPLACED
 if TYPE_CHECKING:  # both are for few users
     from ..factors.of_blocks import BlockGraph
     from .description.survey import SurveyDescription
-
-Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

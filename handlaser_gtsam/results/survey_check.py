@@ -16,14 +16,9 @@ from ..data.survey import Survey, normal_label
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import Estimate, information_axes, judged, least_information
-from ..estimation.survey import (
-    SurveyEstimate,
-    estimate_survey,
-    first_fit,
-    first_image,
-    first_state,
-)
-from ..estimation.survey_mirror import with_images, without_wobble
+from ..estimation.survey import SurveyEstimate, estimate_survey, first_fit, first_state
+from ..estimation.survey_mirror import best_image, with_images, without_wobble
+from ..estimation.survey_outliers import leave_out_gross
 from ..estimation.survey_rows import SurveyRows, rows_of
 from ..estimation.survey_state import SurveyState
 from ..model.distributions import FEW_DEGREES
@@ -169,7 +164,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     begun, drawn = replace(state), first_fit(state).fits
     if drawn:
         state.draw_to_the_hand()
-    others = first_image(state)
+    _, others = best_image(state, _settled_roughly)
     first = first_fit(state)
     if first.fits and not drawn:  # only as its mirror image
         state.draw_to_the_hand()
@@ -214,6 +209,13 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         first.misfit,
         warnings,
     )
+
+
+def _settled_roughly(image: SurveyState) -> bool:
+    """Reject grossly wrong shots of a first state alone."""
+    image.used = np.ones(len(image.rows.items), dtype=bool)
+    leave_out_gross(image)
+    return True
 
 
 def _held(rows: SurveyRows, found: Estimate | None) -> Iterator[SensorHeld]:

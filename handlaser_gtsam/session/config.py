@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
 from ..estimation.learning_scales import LearnedScales
-from ..estimation.options import CalibrationOptions
+from ..estimation.options import CalibrationOptions, ChosenPoses
 from ..estimation.scales import FIELDS, RANGE
 from ..factors.keys import BeamKeys, beam_keys
 from ..model.families import BEAM, modelled
@@ -56,7 +55,7 @@ class SessionConfig:
     sigma: float
     sigma_dof: float
     noise: Noise
-    poses: Literal["exact", "marginalised", "estimated"]
+    poses: ChosenPoses
     options: CalibrationOptions
     learned: LearnedScales | None
     shared: InCommon | None = None

@@ -17,6 +17,7 @@ from ..data.noise import Noise
 from ..data.recording import Recording
 from ..data.survey import Survey, normal_label
 from ..errors import InputError, SolverError
+from ..estimation.dense import spanned
 from ..estimation.options import CalibrationOptions
 from ..estimation.scales import FIELDS, RANGE
 from ..estimation.survey import estimate_survey
@@ -25,7 +26,6 @@ from ..model.families import POSE, pose_of
 from ..model.sensors.mounted import SENSOR
 from ..pipeline import calibrate, calibrate_from
 from ..progress import Listener, tell, told_to
-from ..quantities import SINGULAR
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..results.spots import radius, spot_of
@@ -228,10 +228,6 @@ def _predicted(calibration: SurveyCalibration, out: BoolArray) -> SurveyPredicti
 
 def _least_squares(J: FloatArray, e: FloatArray) -> tuple[float, int, FloatArray]:
     """Return the least sum of squares of linear rows, their rank, and the covariance of unknowns."""
-    scale = np.linalg.norm(J, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    U, size, Vt = np.linalg.svd(J / scale, full_matrices=False)
-    known = size > SINGULAR**0.5 * size.max()
-    root = Vt[known].T / size[known] / scale[:, None]
-    squares = e @ e - ((U[:, known].T @ e) ** 2).sum()
-    return float(squares), int(known.sum()), root @ root.T
+    known, inverse, _ = spanned(J)
+    squares = e @ e - ((known.T @ e) ** 2).sum()
+    return float(squares), known.shape[1], inverse @ inverse.T
