@@ -95,7 +95,9 @@ EXACT_FIT_ADVICE = "add stations"
 def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = None) -> Calibration:
     """Return the calibration of a solution of the readings that were selected.
 
-    Errors that were freed are taken out of the problem already.
+    Errors that were freed are taken out of the problem already. The covariance of the solution is
+    widened by what stations share, in the order of `joint_covariance`: stops, freed errors, learning of
+    the noise and correlation in time, errors that change with the pose.
     """
     solution = selection.solution
     used = problem.chosen(selection.used)
@@ -104,16 +106,16 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     wrong, way, mistaken = _wrong_and_way(problem, used, fit, selection, determined, why)
     status, message = _status_of(solution, determined, wrong)
     systematic: tuple[SystematicError, ...] = ()
-    together, shared, rows = INDEPENDENT, NOTHING_SHARED, None
+    in_time, shared, rows = INDEPENDENT, NOTHING_SHARED, None
     stops, pose = None, None if solution.variances is None else solution.variances.pose
     if pose is not None:  # where the hand stood, whose poses err
         read = np.unique(problem.order.stations[used.station])
         stops = stops_of(problem.recording, read, problem.noise.standstill, pose)
     if status == "converged" and solution.at.loss == GAUSSIAN:
-        rows, shared, systematic, together = _tested(problem, selection, fit, freed, stops)
+        rows, shared, systematic, in_time = _tested(problem, selection, fit, freed, stops)
     # Of an estimated noise the unknowns took more than one degree of freedom each.
-    times = math.sqrt(shared.understated(fit.dof)) if _noise_is_learned(solution, fit) else 1.0
-    grown = (times * together.growth, times * together.plane_growth)
+    learning = math.sqrt(shared.understated(fit.dof)) if _noise_is_learned(solution, fit) else 1.0
+    grown = (learning * in_time.growth, learning * in_time.plane_growth)
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
     partly = status == "unobservable" and settled and not solution.observability.full
@@ -123,7 +125,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         joint, effects, in_common, at_scales = of_all
     signs, by_pose = tuple[CalibrationWarning, ...](), shared.sizes_by_pose
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
-        as_one = together.plane_growth**2 * max(shared.plane_growth**2, shared.understated(fit.dof))
+        as_one = in_time.plane_growth**2 * max(shared.plane_growth**2, shared.understated(fit.dof))
         if by_pose is not None and by_pose.explain_small_residuals:
             as_one = max(as_one, by_pose.growth**2)
         known = not determined.undetermined
@@ -150,7 +152,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
             *signs,
             *rival_warnings(used, solution, fit, beams_and_planes[0], problem.names),
             *filter(None, (moved,)),
-            *together.warnings,
+            *in_time.warnings,
             *warnings_of(by_pose),
             *(() if freed is None else freed.warnings(effects)),
             *(
