@@ -939,12 +939,14 @@ def test_labels_alone_make_a_survey_of_beams(folder, handlaser, refusal):
     (folder / "beam.json").write_text(out)
     # A tool works along z, a range finder along x.
     text = handlaser("export", str(folder / "beam.json"), "--to", "kuka")[1]
-    assert "z of a beam's lies along it" in text
+    assert (
+        "z of each frame lies along its beam; its origin is where the true range is zero." in text
+    )
     angles = list(map(float, re.search(r"A (\S+),B (\S+),C (\S+)}", text).groups()))
     R = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
     assert R[:, 2] == pytest.approx(beam["direction"], abs=1e-6)
     text = handlaser("export", str(folder / "beam.json"), "--to", "urdf", "--link", "flange")[1]
-    assert "x of a beam's lies along it" in text
+    assert "x of each frame lies along its beam, from where the true range is zero." in text
     angles = list(map(float, re.search(r'rpy="(.*?)"', text)[1].split()))
     R = Rotation.from_euler("xyz", angles).as_matrix()
     assert R[:, 0] == pytest.approx(beam["direction"], abs=1e-6)
