@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 from helpers import GRIPPER, ROOT, degenerate
+from profiler_example import FOLDER
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.model.effects import EFFECTS
@@ -37,6 +38,7 @@ readings = "kuka_lasers.csv"
 range_columns = ["1=Laser 1", "2=Laser 2", "3=Laser 3", "4=Laser 4"]
 range_units = "mm"
 """
+PROFILER = (str(FOLDER / "poses.csv"), "--rig", str(FOLDER / "rig.toml"))
 SCREENS = (
     ("convert", "kuka_poses.csv", *LASERS, *LOG),
     ("calibrate", "kuka_poses.csv", "--rig", "kuka.toml"),
@@ -54,6 +56,10 @@ SCREENS = (
     ("plan", "recording.csv", *RIG, "--stations", "3"),
     ("plan", "--rig", "planned.toml"),
     ("study", "study.toml", "--runs", "2"),
+    ("check", *PROFILER),
+    ("calibrate", *PROFILER, "--incremental"),
+    ("validate", *PROFILER, "--splits", "1"),
+    ("plan", *PROFILER, "--stations", "1"),
 )
 
 
@@ -125,6 +131,24 @@ def test_words_of_the_code_are_there():
     """Rows of tables, verdicts, systematic errors, and heads that only some screens show."""
     words = [*BEAM.labels, *OPENING.values(), *EFFECTS]
     assert set(words) <= set(TERMS), set(words) - set(TERMS)
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        "numbers from shots",
+        "errors and relations",
+        "robot errors",
+        "in general position",
+        "hand by pose",
+    ],
+)
+def test_terms_within_sentences_are_said_and_explained(term):
+    """Where lines do not begin with them."""
+    said = "".join(path.read_text() for path in (ROOT / "handlaser_gtsam").rglob("*.py"))
+    said += (ROOT / "handlaser_gtsam/results/messages.toml").read_text()
+    assert term in said
+    assert term in TERMS
 
 
 def test_every_term_stands_once_and_means_something():

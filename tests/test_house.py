@@ -1,17 +1,19 @@
-"""The page on the house names every folder, every step of the way exists, and its code runs."""
+"""The page on the house names every folder and every step of the way; code on the method runs."""
 
 import re
 import sys
 from pathlib import Path
 
 import pytest
-from helpers import ROOT
+from helpers import GRIPPER, ROOT
+from profiler_example import FOLDER
 
 import handlaser_gtsam as hl
 
 PACKAGE = Path(hl.__file__).parent
 """Where the package that runs is: installed, it may be elsewhere than these tests."""
 PAGE = (ROOT / "docs" / "house.md").read_text()
+METHOD = (ROOT / "docs" / "method.md").read_text()
 
 
 def section(title: str) -> str:
@@ -27,9 +29,16 @@ def test_the_page_names_every_folder_and_nothing_else():
 
 
 @pytest.mark.slow
-def test_the_way_is_the_order_of_the_first_calls(tmp_path):
-    """Traced: a recording is read and calibrated, judged and written."""
-    way = section("From the CSV row to the verdict")
+@pytest.mark.parametrize(
+    ("title", "read"),
+    [
+        ("From the CSV row to the verdict", lambda: hl.read_recording(GRIPPER / "recording.csv")),
+        ("The way of a survey", lambda: hl.read_survey(FOLDER / "poses.csv", FOLDER / "rig.toml")),
+    ],
+)
+def test_the_way_is_the_order_of_the_first_calls(tmp_path, title, read):
+    """Traced: a recording or a survey is read and calibrated, judged and written."""
+    way = section(title)
     steps = re.findall(r"\| `([\w/]+\.py)` \| `(\w+)` \|", way)
     assert len(steps) == way.count("\n|") - 2  # all rows but the two of the header
     called = {}
@@ -41,7 +50,7 @@ def test_the_way_is_the_order_of_the_first_calls(tmp_path):
 
     sys.setprofile(enter)
     try:
-        calibration = hl.calibrate(hl.read_recording(ROOT / "examples/gripper/recording.csv"))
+        calibration = hl.calibrate(read())
         assert calibration.verdict is not None
         hl.write_calibration(tmp_path / "calibration.json", calibration)
     finally:
@@ -57,7 +66,7 @@ def test_every_file_that_the_page_names_is_there():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("block", re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL))
-def test_python_of_the_page(block, monkeypatch):
+@pytest.mark.parametrize("block", re.findall(r"```python\n(.*?)```", METHOD, flags=re.DOTALL))
+def test_python_of_the_page_on_the_method(block, monkeypatch):
     monkeypatch.chdir(ROOT)
-    exec(compile(block, "house.md", "exec"), {"__name__": "house"})
+    exec(compile(block, "method.md", "exec"), {"__name__": "method"})

@@ -13,11 +13,14 @@ import pytest
 from helpers import ROOT
 from profiler_example import FOLDER, calibrated_example, example
 from scipy.spatial.transform import Rotation
+from test_exports import frames_of
 
 import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_distance, rigs_by_rays
 from handlaser_gtsam import pipeline
 from handlaser_gtsam.errors import InputError
+from handlaser_gtsam.files.calibration_reading import SurveyBeamRecord
+from handlaser_gtsam.files.calibration_writing import calibration_text
 from handlaser_gtsam.files.points_table import read_points
 from handlaser_gtsam.files.sensor_tables import (
     SensorTable,
@@ -99,6 +102,38 @@ def test_from_log_to_urdf_and_report(handlaser, refusal, folder):
     R = Rotation.from_euler("xyz", [float(x) for x in origin.get("rpy").split()]).as_matrix()
     assert pytest.approx(np.array(content["rotation"])) == R
     assert "hold frames" in refusal("export", str(result), "--to", "c")
+
+
+@pytest.mark.parametrize("kind", ["profiler", "scanner"])
+@pytest.mark.parametrize("beams", [0, 1])
+def test_a_moved_frame_of_a_sensor_is_said_to_be_moved(kind, beams):
+    """As far as it is moved, and along the axis that is named for the kind of sensor."""
+    file = hl.files.SurveyFile.model_validate_json(calibration_text(calibrated_example()))
+    sensor = file.sensors[0].model_copy(update={"kind": kind})
+    beam = SurveyBeamRecord(
+        name="left",
+        location_m=(0.01, 0.02, 0.0),
+        direction=(0.0, 0.0, 1.0),
+        range_error=(0.0, 0.0),
+        location_sigma_m=(1e-4, 1e-4, 1e-4),
+        covariance=(),
+    )
+    file = file.model_copy(update={"sensors": (sensor,), "beams": (beam,) * beams})
+    own, moved = (hl.ExportOptions(at_reading=d) for d in (0.0, 0.1))
+    for to in ("kuka", "abb", "ur"):
+        before, after = (hl.export_text(file, to, options) for options in (own, moved))
+        assert "its own, in which" in before or "the sensor's own, in which" in before
+        assert "in which its points are" not in after
+        assert "its origin is moved 100.0 mm along z, of a scanner along x." in after
+        assert ("z of a beam's lies along it, from where it reads that." in after) == bool(beams)
+        assert after.count("Units") == 1
+        (_, R, t), *_ = frames_of(to, before)
+        (_, turned, shifted), *_ = frames_of(to, after)
+        ahead = R[:, 0 if kind == "scanner" else 2]
+        assert np.abs(turned - R).max() < 1e-9
+        assert np.abs(shifted - t - 0.1 * ahead).max() < 1e-9
+    fanuc = hl.export_text(file, "fanuc", replace(moved, tool=1))
+    assert 'COMMENT\t\t= "sensors";' in fanuc
 
 
 @pytest.mark.slow
@@ -904,12 +939,14 @@ def test_labels_alone_make_a_survey_of_beams(folder, handlaser, refusal):
     (folder / "beam.json").write_text(out)
     # A tool works along z, a range finder along x.
     text = handlaser("export", str(folder / "beam.json"), "--to", "kuka")[1]
-    assert "z of a beam's lies along it" in text
+    assert (
+        "z of each frame lies along its beam; its origin is where the true range is zero." in text
+    )
     angles = list(map(float, re.search(r"A (\S+),B (\S+),C (\S+)}", text).groups()))
     R = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
     assert R[:, 2] == pytest.approx(beam["direction"], abs=1e-6)
     text = handlaser("export", str(folder / "beam.json"), "--to", "urdf", "--link", "flange")[1]
-    assert "x of a beam's lies along it" in text
+    assert "x of each frame lies along its beam, from where the true range is zero." in text
     angles = list(map(float, re.search(r'rpy="(.*?)"', text)[1].split()))
     R = Rotation.from_euler("xyz", angles).as_matrix()
     assert R[:, 0] == pytest.approx(beam["direction"], abs=1e-6)

@@ -65,7 +65,7 @@ def plan_lines(plan: "Plan", goal: "Goal", robot: "Robot | None") -> list[str]:
         "plan",
         plan=plan,
         where=", ".join(f"{number} {of}{look}" for look, number in Counter(looks).items()),
-        looks=looks,
+        looks=looks if len({*plan.sensors} - {""}) > 1 else [],
         passed=len(labels) - len(plan),
         via=VIA,
         forecast=forecast,

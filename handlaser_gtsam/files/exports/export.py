@@ -212,8 +212,11 @@ def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:
         found = f"tool {tool} as the first of {len(beams)}"
         raise InputError(found, f"numbers of tools that end at {LAST_TOOL} at most")
     reading = number(options.at_reading * IN_MM) if options.at_reading else ""
-    of_beams = isinstance(what, Mounts)
+    of_beams = isinstance(what, Mounts) or not what.sensors
     with_beams = isinstance(what, Mounts) or bool(what.beams)
+    along = f"{axis} along beam"
+    if not of_beams:
+        along = f"frame of sensor, {along}" if with_beams else "frame of sensor"
     about, frames, roll = rendered(
         "about",
         version=__version__,
@@ -229,8 +232,9 @@ def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:
         about=about,
         frames=frames,
         roll=roll,
+        of_beams=of_beams,
         parent=options.link,
-        along=f"{axis} along beam" if with_beams else "frame of sensor",
+        along=along,
         tool=tool,
         reading=reading,
     )
