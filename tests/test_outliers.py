@@ -237,3 +237,26 @@ def test_a_reading_far_beyond_the_others_is_left_out(told):
     assert found.status == "converged"
     assert [(r.station, r.sensor) for r in found.fit.rejected] == [("1", "4")]
     assert found.fit.rms < 2 * SIGMA["paper"]
+
+
+@pytest.mark.parametrize("seed", [1, 33, 34, 58])
+def test_one_gross_error_among_few_readings_is_the_one_that_is_rejected(seed):
+    """It pulls a fit of 36 readings for 24 unknowns so that good readings seem to be off."""
+    rng = np.random.default_rng(seed)
+    r = rng.uniform([-0.06, -0.06, 0.02], [0.06, 0.06, 0.1], (3, 3))
+    v = np.column_stack((rng.normal(0.0, 0.25, (3, 2)), np.ones(3)))
+    v /= np.linalg.norm(v, axis=1)[:, None]
+    spins = Rotation.from_rotvec(rng.uniform(0.0, 2.0 * np.pi, (12, 1)) * [0.0, 0.0, 1.0])
+    tilts = Rotation.from_rotvec(np.column_stack((rng.normal(0.0, 0.35, (12, 2)), np.zeros(12))))
+    R = (tilts * spins).as_matrix()
+    t = rng.uniform([-0.1, -0.1, -0.5], [0.1, 0.1, -0.25], (12, 3))
+    origins, directions = r @ R.mT + t[:, None], v @ R.mT
+    ranges = -origins[..., 2] / directions[..., 2] + rng.normal(0.0, 1e-4, (12, 3))
+    gross = rng.integers(12), rng.integers(3)
+    ranges[gross] += rng.choice([-1.0, 1.0]) * rng.uniform(5e-3, 0.03)
+    recording = hl.Recording(R, t, ranges, ("P",) * 12, ("0", "1", "2"))
+    found = hl.calibrate(recording, hl.Noise(1e-4, 0.0, 0.0))
+    (out,) = found.fit.rejected
+    assert (recording.station_names.index(out.station), int(out.sensor)) == gross
+    for beam, place in zip(found.beams.values(), r, strict=True):
+        assert (np.abs(beam.location - place) < 5.0 * beam.location_sigma).all()

@@ -26,7 +26,7 @@ from ..starts.choice import MISFIT, POOR_START, fits_sigma, usable_terms
 from ..starts.growing import Excerpt, excerpt_of
 from ..starts.robust import CAUCHY, METHOD, SAME_CRITERION, least_scale, robust_search
 from ..starts.rounds import FINALISTS, LAST_STEPS, Round, agreeing
-from .reading_tests import Screening, enough, evidence, price, screen, sigma_of
+from .reading_tests import Screening, enough, evidence, price, screen, sigma_of, snooped
 
 SUSPICIOUS = 0.35
 """The scale of the better half of the readings over the scale of all, below which there are outliers to
@@ -39,6 +39,9 @@ range errors and a tilted plane can take up to a few hundredths of it."""
 FEW_REJECTED = 0.2
 """A plain screening that rejects more than this part of the readings of a beam or a plane settles
 nothing: that beam or plane may have followed its outliers, and the good readings are rejected."""
+
+CROWDED = 4.0
+"""Readings an unknown up to which one gross error may pull the fit so far that good ones seem off."""
 
 
 class Consensus(NamedTuple):
@@ -201,6 +204,10 @@ def find_consensus(
     other = None if better is None else screen(readings, better, usable, sigma)
     if other is not None and other.evidence < screening.evidence:
         screening = other
+    if len(readings) <= CROWDED * count_unknowns(readings, usable) and not start.fits:
+        other = snooped(readings, screening.parameters, usable, sigma)
+        if other is not None and other.evidence < screening.evidence:
+            screening = other
     # A choice among few readings makes any of them agree.
     sigma = sigma_of(readings, residuals(start.parameters, readings), usable, range_sigma)
     if evidence(readings, everything, start.parameters, usable, sigma) < screening.evidence:

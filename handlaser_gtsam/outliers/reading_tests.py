@@ -42,6 +42,8 @@ from ..starts.rounds import LAST_STEPS
 LEAST_CUT = 3.0
 """The cut in standard deviations is at least this: Gaussian errors exceed it once in 370. It is
 `FAR_SIGMAS` at most."""
+MOST_SNOOPED = 3
+"""Readings that are rejected one after the other at most: of few, more are no exception."""
 LARGEST_LEVERAGES = 50_000_000
 """Readings times beam unknowns beyond which leverages are taken as zero: a single reading weighs little
 there, and the information takes too long to invert."""
@@ -112,6 +114,37 @@ def screen(
     if not model.plausible_range_errors(parameters, readings.subset(np.flatnonzero(kept))):
         return None
     return Screening(kept, parameters, sigma, evidence(readings, kept, parameters, terms, sigma))
+
+
+def snooped(
+    readings: Readings, candidate: Parameters, terms: int, range_sigma: float | None
+) -> Screening | None:
+    """Reject the worst reading of a fit to all, then the worst of the rest, as the evidence says.
+
+    Of few readings several are soon far from a fit that one gross error pulls, and a screening from
+    elsewhere may keep it. The worst, in standard deviations of its own residual, is that one (Baarda,
+    A Testing Procedure for Use in Geodetic Networks, 1968). Parameters are as of `screen`.
+
+    Returns
+    -------
+    Screening or None
+        The strongest evidence of all steps; None where too few readings are left at the first.
+    """
+    kept, parameters, best = np.ones(len(readings), dtype=bool), candidate, None
+    for _ in range(MOST_SNOOPED + 1):
+        if not enough(readings, kept, terms):
+            break
+        try:
+            parameters, sigma, t = test(readings, kept, parameters, terms, range_sigma)
+        except GrazingBeamError:
+            break
+        good = readings.subset(np.flatnonzero(kept))
+        if model.plausible_range_errors(parameters, good):
+            by_rest = evidence(readings, kept, parameters, terms, sigma)
+            if best is None or by_rest < best.evidence:
+                best = Screening(kept.copy(), parameters, sigma, by_rest)
+        kept[np.argmax(np.where(kept, np.abs(t), 0.0))] = False
+    return best
 
 
 def sigma_of(
