@@ -785,3 +785,34 @@ def test_a_prior_that_is_missed_by_far_is_a_misfit():
         assert found.status == status, found.message
     assert codes(found) == ["no-fit"]
     assert "location of beam laser is" in found.message
+
+
+def test_a_vector_of_another_size_than_its_prior_is_named():
+    key = gtsam.symbol("k", 0)
+    beam = hl.factors.BeamKeys(BEAM.location, BEAM.direction, key)
+    graph = gtsam.NonlinearFactorGraph()
+    for j, pose in enumerate(robot().poses):
+        plane = (WALL, FLOOR)[j % 2]
+        graph.push_back(range_to_plane(beam, plane, [pose], [reading(pose, plane, R, V)], SIGMA))
+    graph.push_back(hl.factors.range_error_prior(key, [5e-3]))
+    for terms, error, words in (
+        (2, hl.InputError, "a start of k0 of another size"),
+        (3, hl.errors.SolverError, "range error k0 of 3 terms"),
+    ):
+        with pytest.raises(error, match=words):
+            hl.optimize(graph, started(beams=((beam, R, V),), terms=terms))
+    with pytest.raises(hl.InputError, match="a value of k0 of another size"):
+        hl.read_graph(graph, started(beams=((beam, R, V),), terms=2), {"laser": beam}, PLANES)
+
+
+def test_what_needs_a_recording_is_refused_of_a_graph(walk):
+    graph, start = walk
+    found = hl.read_graph(graph, hl.optimize(graph, start).values, {"laser": BEAM}, PLANES)
+    recording, _ = simulated(layout=Layout(2, 4, 11))
+    for given in (None, recording):
+        with pytest.raises(hl.InputError, match=r"the result of hl\.read_graph"):
+            hl.cross_check(found, given)
+    with pytest.raises(hl.InputError, match=r"another recording.*hl\.read_graph"):
+        found.used_in(recording)
+    with pytest.raises(hl.InputError, match="NoneType as graph; expected a gtsam"):
+        hl.read_graph(None, start, {"laser": BEAM}, PLANES)

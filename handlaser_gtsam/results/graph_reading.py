@@ -26,9 +26,9 @@ from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
 from ..quantities import NEGLIGIBLE, TEN_TIMES
 from ..solvers.graph import parameters_of
-from ..solvers.graph_levenberg import OPTIMAL, require_values
+from ..solvers.graph_levenberg import OPTIMAL, require_values, told_of_values
 from .calibration import Calibration
-from .calibration_data import Determined, Fit, StartReport, Status
+from .calibration_data import OF_GRAPH, Determined, Fit, StartReport, Status
 from .messages import warned
 from .problem import fit_of_rows, named_estimates
 from .warnings import IMPLAUSIBLE, NO_MOUNT, far_reading
@@ -337,16 +337,19 @@ def read_graph(
     Raises
     ------
     InputError
-        A key without a value of the right type, a beam without range factors or under two names, names
-        that cannot be printed, values without some of the graph's variables or that are no numbers or
-        beyond sense, or constrained noise models.
+        What is no graph; a key without a value of the right type or size, a beam without range factors
+        or under two names, names that cannot be printed, values without some of the graph's variables
+        or that are no numbers or beyond sense, or constrained noise models.
     """
+    if not isinstance(graph, gtsam.NonlinearFactorGraph):
+        raise InputError(f"{type(graph).__name__} as graph", "a gtsam.NonlinearFactorGraph")
     require_values(values)
     require_names("the name of a beam", beams)
     require_names("the name of a plane", planes)
     own = OwnGraph(graph, values, beams, planes)
     wanted = _variables(own)
-    linear, points = amid_readings(graph.linearize(values), values)
+    with told_of_values("value", graph, values):
+        linear, points = amid_readings(graph.linearize(values), values)
     graph_fit = _fit_of_graph(own, wanted, linear.gradientAtZero().vector().size)
     fit = graph_fit.fit
     status, message, determined, covariance = _judged(own, linear, wanted, fit)
@@ -371,7 +374,7 @@ def read_graph(
         *named_estimates(tuple(beams), tuple(planes), at, terms, joint),
         fit,
         determined,
-        StartReport("graph", ()),
+        StartReport(OF_GRAPH, ()),
         iterations=0,
         covariance=joint,
         correlations=() if joint is None else strong_correlations(joint),
