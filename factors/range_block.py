@@ -185,9 +185,12 @@ def require_rows(distance: FloatArray, R: FloatArray, t: FloatArray) -> None:
         )
     if R.shape != (rows, 3, 3) or t.shape != (rows, 3):
         raise InputError(f"{len(t)} hand poses", f"one for each of {rows} readings")
-    if not (np.abs(t).max() <= LARGEST_LENGTH and np.abs(R).max() < 2.0):
-        expected = f"rotation matrices, and positions in metres of at most {LARGEST_LENGTH:.0f}"
-        raise InputError("a hand pose that is none", expected)
+    far = np.abs(t).max()
+    if LARGEST_LENGTH < far < np.inf:
+        expected = f"positions in metres of at most {LARGEST_LENGTH:.0f}: an origin nearer to them"
+        raise InputError(f"a hand position of {far:.4g} m", expected)
+    if not (far <= LARGEST_LENGTH and np.abs(R).max() < 2.0):
+        raise InputError("a hand pose that is none", "rotation matrices, and positions in metres")
 
 
 def checked_block(

@@ -295,7 +295,8 @@ def range_error(values: gtsam.Values, key: int | None) -> tuple[int, FloatArray]
         return 0, k
     vector = values.atVector(key)
     if not 1 <= vector.size <= 2:
-        raise SolverError(f"range error of {vector.size} terms; expected (k1,) or (k1, k2)")
+        name = gtsam.DefaultKeyFormatter(key)
+        raise SolverError(f"range error {name} of {vector.size} terms; expected (k1,) or (k1, k2)")
     k[: vector.size] = vector
     return vector.size, k
 

@@ -393,6 +393,21 @@ def test_ctrl_c_gives_a_result_marked_as_interrupted(gripper):
     assert calibration.status == "not_converged"
 
 
+def test_cross_check_refuses_another_recording(gripper):
+    calibration = hl.calibrate(gripper, hl.Noise(SIGMA), hl.CalibrationOptions("k1k2"))
+    count = len(gripper.plane_labels)
+    noise = np.random.default_rng(1).normal(scale=SIGMA, size=gripper.ranges.shape)
+    for other in (
+        gripper.part(np.arange(count - 1)),
+        replace(gripper, ranges=gripper.ranges + noise),
+        replace(gripper, world_t_hand=gripper.world_t_hand + 1e-3),
+    ):
+        with pytest.raises(hl.InputError, match="another recording"):
+            hl.cross_check(calibration, other)
+    again = replace(gripper, warnings=())
+    assert hl.cross_check(calibration, again) == hl.cross_check(calibration)
+
+
 def test_cross_check_needs_a_converged_calibration():
     calibration = left_open("pure translations")
     with pytest.raises(hl.InputError, match="unobservable"):

@@ -15,6 +15,7 @@ from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
 from handlaser_gtsam.model.block import Weights
 from handlaser_gtsam.model.families import FAMILIES, Family, Vector, register
 from handlaser_gtsam.model.range_blocks import GivenPoses, PoseVariables, Ranges
+from handlaser_gtsam.model.relation import Relation
 from handlaser_gtsam.model.sensors.beam import BeamSensor
 from handlaser_gtsam.model.targets.plane import PlaneTarget
 
@@ -255,6 +256,10 @@ BAD = {
             Ranges(*parts(page["blocks"][0], 3), Weights(-page["blocks"][0].weights.root))
         ],
         "weights below zero",
+    ),
+    "a relation of an unknown family": (
+        lambda _: [Relation((("plain", 0),), lambda x: x[..., :1])],
+        "a family 'plain'",
     ),
     "one member twice": (lambda page: [page["angle_between"](1, 1, 1.5, 1e-3)], "twice"),
 }

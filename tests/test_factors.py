@@ -421,3 +421,9 @@ def test_one_line_joins_a_graph_that_gtsam_solves():
     start.update(PLANE, truth.retract(np.array([0.02, -0.03, 0.01])))
     found = gtsam.Values(gtsam.LevenbergMarquardtOptimizer(graph, start).optimize())
     assert found.atOrientedPlane3(PLANE).equals(truth, 1e-6)
+
+
+def test_a_position_that_is_too_far_is_refused_with_the_limit():
+    there = gtsam.Pose3(gtsam.Rot3(), np.array([5e5, 5.3e6, 500.0]))
+    with pytest.raises(InputError, match=r"a hand position of 5.3e\+06 m; .*at most 1000000"):
+        factors.range_to_plane(BEAM, PLANE, [there], [0.3], 1e-3)

@@ -281,3 +281,15 @@ def test_covariances_of_other_stations_are_refused(undisturbed):
     )
     with pytest.raises(hl.InputError, match="25 pose covariances; expected 24"):
         hl.hold_out(m, b, many)
+
+
+def test_a_file_is_refused_with_the_call_that_reads_its_mounts(tmp_path):
+    """The error and the docstring name what works."""
+    recording, later = two_days(3, planes=2)
+    path = tmp_path / "old.json"
+    hl.write_calibration(path, hl.calibrate(recording, NOISE))
+    for file in (path, hl.read_calibration(path)):
+        with pytest.raises(hl.InputError, match=r"hl\.read_mounts\(path\)"):
+            hl.hold_out(file, later, NOISE)
+    assert hl.hold_out(hl.read_mounts(path), later, NOISE).holds
+    assert "hl.read_mounts(path)" in hl.hold_out.__doc__

@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -370,7 +370,7 @@ def test_a_wrong_noise_is_warned_of():
     found = hl.read_graph(
         graph, hl.optimize(graph, started(walker.values)).values, {"laser": BEAM}, PLANES
     )
-    assert codes(found) == ["sigmas-too-small"]
+    assert codes(found) == ["sigmas-too-small", "far-reading"]
 
 
 def test_wrong_keys_are_refused(walk):
@@ -733,3 +733,86 @@ def test_values_before_their_optimum_are_not_said_to_misfit(walk):
     assert found.status == "not_converged"
     assert "optimise further" in found.message
     assert "no-fit" not in codes(found)
+
+
+def test_a_reading_that_is_far_off_is_named_as_calibrate_names_it():
+    recording, _ = simulated(layout=Layout(2, 4, 30))
+    ranges = recording.ranges.copy()
+    ranges[7, 0] += 6.0 * 3e-5
+    recording = replace(recording, ranges=ranges)
+    options = hl.CalibrationOptions("none", outliers="keep")
+    batch = hl.calibrate(recording, hl.Noise(3e-5, 0.0, 0.0), options)
+    graph, values, keys, planes = graph_of(recording, batch, 1.0)
+    found = hl.read_graph(graph, hl.optimize(graph, values).values, keys, planes)
+    assert codes(found) == codes(batch) == ["far-reading"]
+    ours, theirs = found.warnings[0].values, batch.warnings[0].values
+    assert ours["beam"] == theirs["beam"]
+    assert ours["sigmas"] == pytest.approx(theirs["sigmas"], rel=1e-3)
+    assert str(ours["station"]).startswith("factor")
+    assert found.verdict.code == batch.verdict.code == "usable-with-care"
+
+
+@pytest.mark.parametrize("prior", [5e-3, 0.0])
+def test_readings_in_millimetres_that_a_range_error_takes_in_are_no_calibration(prior):
+    beam = hl.factors.BeamKeys(BEAM.location, BEAM.direction, gtsam.symbol("k", 0))
+    graph, rng = gtsam.NonlinearFactorGraph(), np.random.default_rng(3)
+    for j, pose in enumerate(robot().poses):
+        plane = (WALL, FLOOR)[j % 2]
+        d = 1e3 * reading(pose, plane, R, V, noise=1e-4 * rng.standard_normal())
+        graph.push_back(range_to_plane(beam, plane, [pose], [d], 1e-4))
+    if prior:
+        graph.push_back(hl.factors.range_error_prior(beam.range_error, [prior]))
+    values = hl.optimize(graph, started(beams=((beam, R, V),), terms=1)).values
+    assert values.atVector(beam.range_error)[0] == pytest.approx(-0.999, abs=1e-4)
+    found = hl.read_graph(graph, values, {"laser": beam}, PLANES)
+    assert (found.status, codes(found)) == ("not_converged", ["implausible-range-error"])
+    assert found.verdict.code == "no-fit"
+    assert found.covariance is None
+
+
+def test_a_prior_that_is_missed_by_far_is_a_misfit():
+    """Of the beam: the readings alone determine it better than the prior."""
+    graph, rng = gtsam.NonlinearFactorGraph(), np.random.default_rng(3)
+    for j, pose in enumerate(robot(stations=120).poses):
+        plane = (WALL, FLOOR)[j % 2]
+        d = reading(pose, plane, R, V, noise=SIGMA * rng.standard_normal())
+        graph.push_back(range_to_plane(BEAM, plane, [pose], [d], SIGMA))
+    for away, status in ((4e-3, "converged"), (0.04, "not_converged")):
+        noise = gtsam.noiseModel.Isotropic.Sigma(3, 2e-3)
+        known = gtsam.NonlinearFactorGraph(graph)
+        known.push_back(gtsam.PriorFactorPoint3(BEAM.location, R + away, noise))
+        found = hl.read_graph(known, hl.optimize(known, started()).values, {"laser": BEAM}, PLANES)
+        assert found.status == status, found.message
+    assert codes(found) == ["no-fit"]
+    assert "location of beam laser is" in found.message
+
+
+def test_a_vector_of_another_size_than_its_prior_is_named():
+    key = gtsam.symbol("k", 0)
+    beam = hl.factors.BeamKeys(BEAM.location, BEAM.direction, key)
+    graph = gtsam.NonlinearFactorGraph()
+    for j, pose in enumerate(robot().poses):
+        plane = (WALL, FLOOR)[j % 2]
+        graph.push_back(range_to_plane(beam, plane, [pose], [reading(pose, plane, R, V)], SIGMA))
+    graph.push_back(hl.factors.range_error_prior(key, [5e-3]))
+    for terms, error, words in (
+        (2, hl.InputError, "a start of k0 of another size"),
+        (3, hl.errors.SolverError, "range error k0 of 3 terms"),
+    ):
+        with pytest.raises(error, match=words):
+            hl.optimize(graph, started(beams=((beam, R, V),), terms=terms))
+    with pytest.raises(hl.InputError, match="a value of k0 of another size"):
+        hl.read_graph(graph, started(beams=((beam, R, V),), terms=2), {"laser": beam}, PLANES)
+
+
+def test_what_needs_a_recording_is_refused_of_a_graph(walk):
+    graph, start = walk
+    found = hl.read_graph(graph, hl.optimize(graph, start).values, {"laser": BEAM}, PLANES)
+    recording, _ = simulated(layout=Layout(2, 4, 11))
+    for given in (None, recording):
+        with pytest.raises(hl.InputError, match=r"the result of hl\.read_graph"):
+            hl.cross_check(found, given)
+    with pytest.raises(hl.InputError, match=r"another recording.*hl\.read_graph"):
+        found.used_in(recording)
+    with pytest.raises(hl.InputError, match="NoneType as graph; expected a gtsam"):
+        hl.read_graph(None, start, {"laser": BEAM}, PLANES)

@@ -31,6 +31,7 @@ from handlaser_gtsam.files.report.page import SECTIONS
 from handlaser_gtsam.files.watch.follower import Follower
 from handlaser_gtsam.files.watch.server import Guard, Hub, PageServer, listening
 from handlaser_gtsam.files.watch.watched import Watched
+from handlaser_gtsam.files.watch.worker import Calibrator
 
 LINES = (GRIPPER / "recording.csv").read_text().splitlines(keepends=True)
 RIG = (GRIPPER / "rig.toml").read_text()
@@ -439,6 +440,25 @@ def test_what_is_wrong_is_said_and_the_last_good_state_stays(shown):
     shown.path.write_text(good)
     assert shown.is_at("current", 19)["error"] == ""
     assert shown.newest["state"] == kept
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ("station".encode("utf-16"), "UTF-16 text"),
+        (b"\xff\xd8\x00picture", "0xff, which is not UTF-8"),
+    ],
+)
+def test_a_file_that_is_no_text_is_refused_once_it_rests(tmp_path, data, words):
+    path = tmp_path / "recording.csv"
+    path.write_bytes(data)
+    calibrator = Calibrator(Watched(path))
+    assert calibrator.answer(settled=False).waiting
+    answer = calibrator.answer(settled=True)
+    assert words in answer.error
+    assert str(path) in answer.error
+    path.write_text(LINES[0].rstrip())
+    assert calibrator.answer(settled=True).waiting
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError
 from ..model.block import Block
-from ..model.families import FAMILIES, Direction, Motion, pose_of
+from ..model.families import FAMILIES, Direction, Motion, pose_of, require_family
 from ..quantities import NEGLIGIBLE
 
 if TYPE_CHECKING:
@@ -27,8 +27,7 @@ def require_start(problem: "BlockProblem") -> None:
         raise InputError("nothing that is unknown", "one or more families in `unknown`")
     counts = set()
     for name, x in problem.start.items():
-        if name not in FAMILIES:
-            raise InputError(f"a family {name!r}", f"one of {', '.join(FAMILIES)}; `register` it")
+        require_family(name)
         shape, expected = np.shape(x), f"an array (starts, members, {FAMILIES[name].size})"
         if len(shape) != 3 or shape[2] != FAMILIES[name].size or not isinstance(x, np.ndarray):
             raise InputError(f"a start of shape {shape} for {name}", expected)

@@ -70,6 +70,17 @@ def read_text(path: Path, expected: str) -> str:
     """
     with readable(path, expected):
         data = path.read_bytes()
+    return decoded(data, path)
+
+
+def decoded(data: bytes, path: Path) -> str:
+    """Return the text that the bytes of a file are.
+
+    Raises
+    ------
+    InputError
+        They are not UTF-8.
+    """
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:

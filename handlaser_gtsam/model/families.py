@@ -245,6 +245,17 @@ def register(family: Family) -> Family:
     return known
 
 
+def require_family(name: str) -> None:
+    """Refuse a name that no family has.
+
+    Raises
+    ------
+    InputError
+    """
+    if name not in FAMILIES:
+        raise InputError(f"a family {name!r}", f"one of {', '.join(FAMILIES)}; `register` it")
+
+
 def bases(unit: FloatArray) -> FloatArray:
     """Return `tangent_basis` (..., 3, 2) of unit vectors (..., 3) in any shape."""
     return tangent_basis(unit.reshape(-1, 3)).reshape(*unit.shape, 2)

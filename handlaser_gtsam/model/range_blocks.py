@@ -24,7 +24,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from .block import Rows, Slot, Values, Weights
-from .families import FAMILIES
+from .families import FAMILIES, require_family
 from .geometry import cross
 
 LEAST_SLOPE = 0.05
@@ -317,10 +317,17 @@ def turned_back(R: FloatArray, x: FloatArray) -> FloatArray:
 
 
 def slots_of(*variables: tuple[str, IntArray]) -> tuple[Slot, ...]:
-    """Return slots one after the other, of (family, members); without a family there is none."""
+    """Return slots one after the other, of (family, members); without a family there is none.
+
+    Raises
+    ------
+    InputError
+        A family that is not registered.
+    """
     slots, first = [], 0
     for family, member in variables:
         if family:
+            require_family(family)
             slots.append(Slot(family, member, slice(first, first + FAMILIES[family].dim)))
             first = slots[-1].columns.stop
     return tuple(slots)

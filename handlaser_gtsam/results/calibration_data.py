@@ -32,6 +32,7 @@ from ..model.weighting import Variances
 from ..observability.rank import Indices
 from ..observability.wording import OpenPart
 from ..quantities import IN_MM, IN_PERCENT
+from ..text import count
 from .lines import decimals
 from .messages import said
 from .shared_errors import InCommon
@@ -321,9 +322,15 @@ class Determined(Value):
     weakest: str = ""
 
 
+OF_GRAPH = "graph"
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class StartReport(Value):
-    """Which start was used, and the rms residual [m] of every start tried, lowest first."""
+    """Which start was used, and the rms residual [m] of every start tried, lowest first.
+
+    The method is `OF_GRAPH` of a calibration that was read from a graph.
+    """
 
     method: str
     tried: tuple[tuple[str, float], ...]
@@ -398,8 +405,21 @@ class CalibrationData(Value):
         return pose[used[0]] if used.size else None
 
     def used_in(self, recording: Recording) -> Recording:
-        """Return the stations and readings that were used; of `recording` where none is held."""
-        return (self.recording or recording).without(np.isnan(self.fit.residuals))
+        """Return the stations and readings that were used; of `recording` where none is held.
+
+        Raises
+        ------
+        InputError
+            None is held, as of a graph, and `recording` has other beams, or another number of stations
+            than the fit has rows.
+        """
+        held, rows = self.recording or recording, self.fit.residuals
+        if held.beam_names != tuple(self.beams) or held.ranges.shape != rows.shape:
+            stations, beams = held.ranges.shape
+            found = f"another recording, of {count(stations, 'station')} and {count(beams, 'beam')}"
+            expected = f"the one of the calibration, whose fit has {count(len(rows), 'row')}"
+            raise InputError(found, f"{expected}; the result of hl.read_graph has none")
+        return held.without(np.isnan(rows))
 
     def intervals(self, beam: str, level: float = CONFIDENCE) -> FloatArray | None:
         """Return where each coordinate of a beam lies with probability `level`, (8, 2).

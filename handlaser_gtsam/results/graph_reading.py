@@ -12,24 +12,26 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_names
+from ..data.parameters import Parameters
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import NAMED_SHARE
 from ..factors.amid_readings import amid_readings
 from ..factors.keys import BeamKeys, integer_key, require_beam
 from ..model.distributions import SINGLE_LEVEL
+from ..model.equation import plausible_factors
 from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM, PLANE, RANGE_ERROR
 from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
 from ..quantities import NEGLIGIBLE, TEN_TIMES
 from ..solvers.graph import parameters_of
-from ..solvers.graph_levenberg import OPTIMAL, require_values
+from ..solvers.graph_levenberg import OPTIMAL, require_values, told_of_values
 from .calibration import Calibration
-from .calibration_data import Determined, Fit, StartReport, Status
+from .calibration_data import OF_GRAPH, Determined, Fit, StartReport, Status
 from .messages import warned
 from .problem import fit_of_rows, named_estimates
-from .warnings import NO_MOUNT
+from .warnings import IMPLAUSIBLE, NO_MOUNT, far_reading
 
 ANCHOR = (
     "anchor at least one pose, tie every pose to others by a prior, odometry or a fix, and check that "
@@ -183,17 +185,48 @@ def _range_rows(
     return RangeRows(np.array(beams)[mine[0]], keys[0], pose, ranges, -float(by_offset.sum()))
 
 
-def _fit_of_graph(own: OwnGraph, unknowns: int) -> tuple[Fit, float, set[int]]:
-    """Return how the rows of the range factors fit.
+class GraphFit(NamedTuple):
+    """How a graph fits.
 
-    Returns
-    -------
+    Attributes
+    ----------
     fit : Fit
-        Of these rows; chi2 and dof count the whole graph.
+        Of the rows of the range factors; chi2 and dof count the whole graph.
     times : float
-        Residuals of the range factors in their sigmas, as their own losses count them.
+        Residuals of these rows in their sigmas, as their own losses count them.
+    missed : (float, str)
+        The same of the prior that is missed by most, and what it is of; 0 where there is none.
+    beam : (N,)
+        Index of each row's beam.
+    ranges : (N,)
+        Predicted [m]; NaN where they are not known.
     against : set of int
         Keys of the planes whose normals point towards the sensors.
+    """
+
+    fit: Fit
+    times: float
+    missed: tuple[float, str]
+    beam: IntArray
+    ranges: FloatArray
+    against: set[int]
+
+    def has_plausible_range_errors(self, at: Parameters) -> bool:
+        """Tell whether every true range is of the order of its reading; see `plausible_factors`.
+
+        A factor does not give its readings d away, but s = d + k1 d + k2 d^2.
+        """
+        seen = ~np.isnan(self.ranges)
+        s, k = self.ranges[seen], at.range_errors[self.beam[seen]].T
+        with np.errstate(divide="ignore", invalid="ignore"):  # no reading has such a range
+            slope = 1.0 + k[0]
+            d = 2.0 * s / (slope + np.sqrt(slope**2 + 4.0 * k[1] * s))
+            plausible: BoolArray = plausible_factors(k, d)
+        return bool(plausible.all())
+
+
+def _fit_of_graph(own: OwnGraph, wanted: Variables, unknowns: int) -> GraphFit:
+    """Return how the range factors, and the priors of what is read, fit.
 
     Raises
     ------
@@ -206,12 +239,17 @@ def _fit_of_graph(own: OwnGraph, unknowns: int) -> tuple[Fit, float, set[int]]:
         raise InputError("two names for one beam", "different variables for every beam")
     planes, labels, dims, cost, poses = set(own.planes.values()), list[str](), 0, 0.0, False
     along: dict[int, float] = {}
+    missed = (0.0, "")
     rows: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
     for number in range(own.graph.size()):
         if not own.graph.exists(number):
             continue
         factor = own.graph.at(number)
         dims += factor.dim()
+        keys = list(factor.keys())
+        if len(keys) == 1 and keys[0] in wanted and factor.dim():
+            squares = 2.0 * factor.error(own.values) / factor.dim()
+            missed = max(missed, (float(np.sqrt(squares)), wanted[keys[0]][0]))
         if not isinstance(factor, gtsam.CustomFactor):
             continue
         read = _range_rows(own, owner, planes, factor)
@@ -249,7 +287,23 @@ def _fit_of_graph(own: OwnGraph, unknowns: int) -> tuple[Fit, float, set[int]]:
         loss="gaussian",
     )
     against = {key for key, total in along.items() if total < 0.0}
-    return fit, float(np.sqrt(2.0 * cost / len(e))), against
+    times = float(np.sqrt(2.0 * cost / len(e)))
+    return GraphFit(fit, times, missed, column, ranges, against)
+
+
+def _misfit(found: GraphFit, at: Parameters) -> CalibrationWarning | None:
+    """Say that an optimum is no calibration: of what does not fit, or what no sensor has."""
+    far = float(np.linalg.norm(at.locations, axis=1).max())
+    if found.fit.dof > 0 and found.times > TEN_TIMES:
+        return warned("no-fit:sigmas", {"sigma0": found.times})
+    if not found.has_plausible_range_errors(at):
+        return warned(IMPLAUSIBLE)
+    if far > NO_MOUNT:
+        return warned("far-beam:no-mount", {"distance_m": far})
+    times, variable = found.missed
+    if times > TEN_TIMES:
+        return warned("no-fit:prior", {"variable": variable, "times": times})
+    return None
 
 
 def read_graph(
@@ -276,38 +330,40 @@ def read_graph(
     Calibration
         Its fit lists the rows of the range factors; chi2 and dof count the whole graph. Normals point
         away from the sensors, whichever way the values have them. `not_converged` where the values are
-        no optimum, or the readings do not fit at all; `unobservable` where the graph leaves beams or
-        planes undetermined.
+        no optimum, the readings do not fit at all, or only with range errors that no sensor has, or
+        a prior of a beam or a plane is missed by more than ten of its standard deviations;
+        `unobservable` where the graph leaves beams or planes undetermined.
 
     Raises
     ------
     InputError
-        A key without a value of the right type, a beam without range factors or under two names, names
-        that cannot be printed, values without some of the graph's variables or that are no numbers or
-        beyond sense, or constrained noise models.
+        What is no graph; a key without a value of the right type or size, a beam without range factors
+        or under two names, names that cannot be printed, values without some of the graph's variables
+        or that are no numbers or beyond sense, or constrained noise models.
     """
+    if not isinstance(graph, gtsam.NonlinearFactorGraph):
+        raise InputError(f"{type(graph).__name__} as graph", "a gtsam.NonlinearFactorGraph")
     require_values(values)
     require_names("the name of a beam", beams)
     require_names("the name of a plane", planes)
     own = OwnGraph(graph, values, beams, planes)
     wanted = _variables(own)
-    linear, points = amid_readings(graph.linearize(values), values)
-    fit, times, against = _fit_of_graph(own, linear.gradientAtZero().vector().size)
+    with told_of_values("value", graph, values):
+        linear, points = amid_readings(graph.linearize(values), values)
+    graph_fit = _fit_of_graph(own, wanted, linear.gradientAtZero().vector().size)
+    fit = graph_fit.fit
     status, message, determined, covariance = _judged(own, linear, wanted, fit)
     at = parameters_of(values, list(beams.values()), list(planes.values()))
-    signs = np.array([-1.0 if key in against else 1.0 for key in planes.values()])
+    signs = np.array([-1.0 if key in graph_fit.against else 1.0 for key in planes.values()])
     at = replace(at, normals=signs[:, None] * at.normals, offsets=signs * at.offsets)
     warnings: tuple[CalibrationWarning, ...] = ()
-    far = float(np.linalg.norm(at.locations, axis=1).max())
-    wrong = None
-    if status == "converged" and fit.dof > 0 and times > TEN_TIMES:
-        wrong = warned("no-fit:sigmas", {"sigma0": times})
-    elif status == "converged" and far > NO_MOUNT:
-        wrong = warned("far-beam:no-mount", {"distance_m": far})
+    wrong = _misfit(graph_fit, at) if status == "converged" else None
     if wrong is not None:
         status, message, covariance, warnings = "not_converged", wrong.message, None, (wrong,)
-    elif fit.p_value < SINGLE_LEVEL:
-        warnings = (warned("sigmas-too-small:graph", chi2=fit.chi2, dof=fit.dof),)
+    else:
+        if fit.p_value < SINGLE_LEVEL:
+            warnings = (warned("sigmas-too-small:graph", chi2=fit.chi2, dof=fit.dof),)
+        warnings += tuple(far_reading(fit))
     keys = [beam.range_error for beam in beams.values()]
     terms = tuple(0 if key is None else len(wanted[key][1]) for key in keys)
     joint = None if covariance is None else _joint(covariance, wanted, own, terms, signs, points)
@@ -318,7 +374,7 @@ def read_graph(
         *named_estimates(tuple(beams), tuple(planes), at, terms, joint),
         fit,
         determined,
-        StartReport("graph", ()),
+        StartReport(OF_GRAPH, ()),
         iterations=0,
         covariance=joint,
         correlations=() if joint is None else strong_correlations(joint),

@@ -185,14 +185,19 @@ def fit_warnings(
         if noise.poses_uncertain:
             yield warned("poses-taken-as-exact")
     yield from large_pose_errors(solution.scales)
-    (station, beam), sigmas = fit.max_standardized_residual_at, fit.max_standardized_residual
-    if fit.dof > 0 and sigmas > FAR_SIGMAS:
-        yield warned("far-reading", {"station": station, "beam": beam, "sigmas": sigmas})
+    yield from far_reading(fit)
     redundancy = solution.redundancy
     if not fit.range_sigma_given and redundancy < FEW_DEGREES:
         some = f"only {count(redundancy, 'reading')} more than"
         more = some if redundancy > 0 else "no more readings than"
         yield warned("few-readings", {"redundancy": redundancy}, more=more)
+
+
+def far_reading(fit: Fit) -> Iterator[CalibrationWarning]:
+    """Warn of the reading that is farthest off, where that is no accident."""
+    (station, beam), sigmas = fit.max_standardized_residual_at, fit.max_standardized_residual
+    if fit.dof > 0 and sigmas > FAR_SIGMAS:
+        yield warned("far-reading", {"station": station, "beam": beam, "sigmas": sigmas})
 
 
 def large_pose_errors(learned: Iterable[NoiseComponent]) -> Iterator[CalibrationWarning]:

@@ -9,8 +9,8 @@ linearised there to (H + lambda diag(H)) delta = -g, which GTSAM eliminates for 
 In the graph of a user, planes are turned about points amid their readings (`amid_readings`).
 """
 
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -213,8 +213,8 @@ def optimize(
     GrazingBeamError, MissedTargetError
         A beam grazes its plane, or a ray misses its target, at the start already.
     InputError
-        An empty graph, a variable without a start or with one of another type, or numbers beyond
-        sense.
+        An empty graph, a variable without a start or with one of another type or size, or numbers
+        beyond sense.
     """
     _require_startable(graph, values)
     options = LevenbergOptions() if options is None else options
@@ -231,7 +231,7 @@ def optimize(
         return Point(values, cost, lambda: none, linear)
 
     rows = sum(graph.at(i).dim() for i in range(graph.size()) if graph.exists(i))
-    try:
+    with told_of_values("start", graph, values):
         return _minimised(
             evaluate,
             values,
@@ -242,11 +242,51 @@ def optimize(
             options=options,
             progress=progress,
         )
+
+
+@contextmanager
+def told_of_values(
+    what: str, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> Iterator[None]:
+    """Let GTSAM's errors of values that factors cannot use say so, and of a size which factor it is.
+
+    Parameters
+    ----------
+    what : str
+        What a value is: "start".
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+
+    Raises
+    ------
+    InputError
+        A value of another type or size than a factor needs.
+    """
+    try:
+        yield
     except RuntimeError as error:
         if "Attempting to retrieve" not in str(error):
             raise
         expected = "Point3, Unit3, a vector, OrientedPlane3 and Pose3, as the factors need them"
-        raise InputError(f"a start of another type ({error})", expected) from error
+        raise InputError(f"a {what} of another type ({error})", expected) from error
+    except ValueError as error:
+        if "NoiseModel has dimension" not in str(error):
+            raise
+        factors = (graph.at(i) for i in range(graph.size()) if graph.exists(i))
+        keys = next(one.keys() for one in factors if not _fits(one, values))
+        names = ", ".join(gtsam.DefaultKeyFormatter(key) for key in keys)
+        found = f"a {what} of {names} of another size than a factor on it ({error})"
+        expected = "a vector as long as its prior, (k1,) or (k1, k2) of a range error"
+        raise InputError(found, expected) from error
+
+
+def _fits(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> bool:
+    """Tell whether the noise of a factor is of the size of its error."""
+    try:
+        factor.error(values)
+    except ValueError:
+        return False
+    return True
 
 
 def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:

@@ -10,6 +10,7 @@ from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
+from ..data.screening import screened
 from ..data.survey import RAY_ERRORS
 from ..data.value import Value
 from ..errors import InputError
@@ -21,8 +22,9 @@ from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..model.weighting import Variances
-from ..quantities import IN_PERCENT, SAME_OPTIMUM, SINGULAR
+from ..quantities import IN_PERCENT, MAJORITY, SAME_OPTIMUM, SINGULAR
 from ..results.calibration import Calibration
+from ..results.calibration_data import OF_GRAPH, Fit
 from ..results.survey import SurveyCalibration
 from ..solvers.reference.errors import ERRORS, SystematicErrors
 from ..solvers.reference.problem import (
@@ -103,21 +105,26 @@ def cross_check(
     ----------
     calibration : Calibration or SurveyCalibration
     recording : Recording, optional
-        Of a calibration that does not hold its own.
+        The one that was calibrated; a calibration holds it.
 
     Raises
     ------
     InputError
-        The calibration did not converge, or leaves anything undetermined; its loss is robust (SciPy
-        solves least squares), or a systematic error was freed for which the reference has no formula;
-        no recording of a calibration that holds none, or one beside a survey.
+        The calibration was read from a graph, is of another recording, did not converge, or leaves
+        anything undetermined; its loss is robust (SciPy solves least squares), or a systematic error
+        was freed for which the reference has no formula; no recording of a calibration that holds none,
+        or one beside a survey.
     """
     if isinstance(calibration, SurveyCalibration):
         if recording is not None:
             raise InputError("a recording beside the result of a survey", "none: it holds its own")
         return _of_survey(calibration)
     require_kind("calibration", calibration, Calibration, "a Calibration or a SurveyCalibration")
-    recording = calibration.recording if recording is None else recording
+    if calibration.start.method == OF_GRAPH:
+        given = "the result of hl.read_graph, whose graph may hold more than a recording"
+        raise InputError(given, "a calibration of a recording")
+    held = calibration.recorded or calibration.recording
+    recording = held if recording is None else recording
     if recording is None:
         raise InputError("a calibration without its recording", "the recording beside it")
     require_kind("recording", recording, Recording)
@@ -136,6 +143,8 @@ def cross_check(
     joint = calibration.covariance if scaled is None else scaled.covariance
     if joint is None:
         raise InputError("a calibration without covariance", "a converged one")
+    if held is not None and recording not in (held, calibration.recording):
+        _require_same(recording, held, calibration.fit)
     used = calibration.used_in(recording)
     start, solved = find_start(used.readings()).parameters, None
     if calibration.recorded is not None:  # with the errors in it; their priors have units
@@ -159,6 +168,22 @@ def cross_check(
         size, variance = np.array([known[member][0]]), np.array([[known[member][1] ** 2]])
         rows.append((("size", i), " ".join(member).strip(), size, variance))
     return compared(rows, solve(problem))
+
+
+def _require_same(recording: Recording, held: Recording, fit: Fit) -> None:
+    """Refuse a recording that is not the one which a calibration holds.
+
+    That was screened, with a range sigma that decides which readings of one pose are copies.
+    """
+    given = (recording.beam_names, recording.station_names, recording.plane_labels)
+    alike = given == (held.beam_names, held.station_names, held.plane_labels)
+    alike = alike and np.array_equal(recording.world_R_hand, held.world_R_hand)
+    if alike and np.array_equal(recording.world_t_hand, held.world_t_hand):
+        sigma = fit.range_sigma if fit.range_sigma_given else None
+        same = screened(recording, sigma)[0].ranges == held.ranges
+        if same.sum() >= MAJORITY * (~np.isnan(held.ranges)).sum():
+            return
+    raise InputError("another recording than the one that was calibrated", "that one, or none")
 
 
 def recording_problem(

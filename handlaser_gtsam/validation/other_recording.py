@@ -182,7 +182,8 @@ def hold_out(
     Parameters
     ----------
     calibration : Calibration, SurveyCalibration, Mounts or sequence of PlacedMount
-        A file gives the last two: `hl.Mounts.of(file)`, and of a survey `file.placed()`.
+        A file gives the last two: `hl.read_mounts(path)`, and of a survey
+        `hl.read_calibration(path).placed()`.
     recording : Recording or Survey
         With some of the calibrated beams and sensors; its planes and other targets may be any.
     noise : Noise, optional
@@ -219,7 +220,7 @@ def hold_out(
     noise = Noise() if noise is None else noise
     mounts = Mounts.of(calibration) if isinstance(calibration, Calibration) else calibration
     require_kind(
-        "the calibration of a recording", mounts, Mounts, "Calibration, or Mounts.of(file)"
+        "the calibration of a recording", mounts, Mounts, "Calibration, or hl.read_mounts(path)"
     )
     assert isinstance(mounts, Mounts), "checked above"
     require_kind("recording", recording, Recording)

@@ -18,7 +18,9 @@ from ...estimation.options import CalibrationOptions
 from ...pipeline import calibrate
 from ...text import printable
 from ..calibration_writing import calibration_text
+from ..checked_text import decoded
 from ..logs.format import LogReport
+from ..logs.tables import BOOKS
 from ..points_table import AWAITED
 from ..report.figure import Figure
 from ..report.options import ReportOptions
@@ -115,10 +117,12 @@ class Calibrator:
         self, parts: Sequence[FileContent], rests: tuple[bytes, ...], rig: Rig
     ) -> FileAnswer:
         heads = 0 if rig.log.header_given else 1
-        _, lines, _ = parts[0]
-        if _rows(lines + rests[0]) <= heads:
-            return FileAnswer(note="waiting for the first station", waiting=True)
+        path, lines, _ = parts[0]
         try:
+            if _rows(lines + rests[0]) <= heads:
+                if path.suffix.lower() not in BOOKS:
+                    decoded(lines + rests[0], path)
+                return FileAnswer(note="waiting for the first station", waiting=True)
             try:
                 note = ""
                 read, rig = read_contents(parts, rests, rig)
