@@ -127,8 +127,9 @@ def test_an_error_that_scipy_has_no_formula_of_is_refused():
 
 @pytest.mark.slow
 def test_several_errors_are_unknowns_at_once():
-    found = freed(recorded(Scene(3), 0, "lag", LARGE_LAG), "lag", "incidence", "turn-scale")
-    check = cross_check(found, recorded(Scene(3)))
+    recording = recorded(Scene(3), 0, "lag", LARGE_LAG)
+    found = freed(recording, "lag", "incidence", "turn-scale")
+    check = cross_check(found, recording)
     # The turns of lag and scale are added, and the right Jacobian of their sum ends at second order.
     assert check.largest < 1e-3
     assert check.largest_sigma < 1e-3
