@@ -157,6 +157,17 @@ def test_a_split_is_the_calibration_of_one_beam_more(options):
     assert session.recording() == recording
 
 
+def test_the_states_of_a_beam_are_no_channel_logged_twice():
+    """They lie in one place, and never read at one station."""
+    recording, _ = displaced(planes=6, before=3)
+    session, _ = fed(recording, stop=4)
+    session.split_beam("2", "D")
+    session.add(plane(recording, 4))
+    result = session.calibration()
+    assert "column-twice" not in [one.code for one in result.warnings]
+    assert result.verdict.usable
+
+
 @pytest.mark.slow
 def test_a_beam_may_be_displaced_twice():
     recording, _ = displaced(planes=12, before=4)
