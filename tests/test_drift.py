@@ -201,6 +201,25 @@ def test_what_cannot_be_forgotten_is_refused():
     assert session.compare().largest < 0.01
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [8, 10])
+def test_gross_errors_among_the_first_planes_are_no_move(seed):
+    """They led to wrong beams, beside which another beam seemed to have moved, to the end."""
+    recording, truth = displaced(planes=4, before=2, turn=0.0, seed=seed, stations=8)
+    rng, ranges = np.random.default_rng(seed), recording.ranges.copy()
+    early = np.argwhere(~np.isnan(ranges) & (recording.plane_of_station < 2)[:, None])
+    wrong = [tuple(at) for at in early[rng.choice(len(early), 3, replace=False)]]
+    for at in wrong:
+        ranges[at] += rng.choice([-1, 1]) * rng.uniform(5e-3, 3e-2)
+    session, updates = fed(replace(recording, ranges=ranges), NOISE, hl.CalibrationOptions())
+    assert all(update.moved is None for update in updates)
+    assert {(one.station, one.sensor) for one in session.rejected} == {
+        (recording.station_names[j], recording.beam_names[i]) for j, i in wrong
+    }
+    beams = session.beams()
+    assert (np.abs(beams.locations - truth.locations) < 4.5 * beams.sigma[:, :3]).all()
+
+
 def test_new_garbage_is_left_out_and_a_plane_of_nothing_else_is_doubted():
     recording, _ = displaced(turn=0.0)
     session, _ = fed(recording, stop=8)

@@ -364,6 +364,14 @@ def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple
                 message = RESTARTED
                 joined, inconsistent = tuple(new.contents.inside), ()
         new, comparison = new.compared_if_due()
+    moved = new.moved(recently=True)
+    if moved is not None and isinstance(new, SessionState) and new.config.reject:
+        before = None if comparison else now.moved(recently=True)
+        if before is None or (before.name, before.since) != (moved.name, moved.since):
+            judged = new.rather_gross(moved)
+            if judged is not new:
+                new, message, comparison, inconsistent = judged, RESTARTED, None, ()
+                joined, moved = tuple(new.contents.inside), new.moved(recently=True)
     begun_again = message or (comparison is not None and comparison.changes)
     gain = 0.5 * (new.with_shared.information - now.with_shared.information)
     old = set(now.contents.rejected)
@@ -375,7 +383,7 @@ def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple
         now.with_shared.sigmas(),
         message,
         tuple(reading for reading in new.contents.rejected if reading not in old),
-        new.moved(recently=True),
+        moved,
         inconsistent,
         comparison,
     )
