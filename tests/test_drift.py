@@ -184,9 +184,10 @@ def test_what_cannot_be_forgotten_is_refused():
     session, _ = fed(displaced()[0])
     with pytest.raises(hl.InputError, match="beam 'x'"):
         session.split_beam("x", "G")
-    for since in ("A", "x"):
-        with pytest.raises(hl.InputError, match=f"before plane '{since}'"):
-            session.split_beam("2", since)
+    with pytest.raises(hl.InputError, match="before plane 'A'"):
+        session.split_beam("2", "A")
+    with pytest.raises(hl.InputError, match="unknown plane 'x'; expected one of A, B, "):
+        session.split_beam("2", "x")
     blind = np.zeros(session.recording().ranges.shape, dtype=bool)
     blind[:, 1] = displaced()[0].plane_of_station > 4
     unseen, _ = fed(displaced()[0].without(blind))

@@ -678,7 +678,7 @@ def price_of_gross(count: int, distance: FloatArray, range_sigma: float) -> floa
     One that is anything within the span W of the readings costs 2 ln(W / (sqrt(2 pi) sigma)), and twice
     the logarithm of how rare it is.
     """
-    return 2.0 * count * (max(price(distance, range_sigma), 0.0) - np.log(GROSS_ERROR))
+    return 2.0 * count * (max(price(distance, range_sigma), 0.0) - float(np.log(GROSS_ERROR)))
 
 
 def price_of_move(readings: int, beams: int) -> float:
