@@ -45,5 +45,8 @@ found = session.beams()
 beam = found.names.index("2")
 error = np.degrees(np.linalg.norm(found.directions[beam] - turned[beam]))
 print(f"beam 2 now points {error:.3f} deg from where it really does")
+verdict = session.calibration().verdict
+print(verdict.sentence)
 assert largest < 0.01
 assert error < 0.1
+assert verdict.usable

@@ -157,6 +157,17 @@ def test_a_split_is_the_calibration_of_one_beam_more(options):
     assert session.recording() == recording
 
 
+def test_the_states_of_a_beam_are_no_channel_logged_twice():
+    """They lie in one place, and never read at one station."""
+    recording, _ = displaced(planes=6, before=3)
+    session, _ = fed(recording, stop=4)
+    session.split_beam("2", "D")
+    session.add(plane(recording, 4))
+    result = session.calibration()
+    assert "column-twice" not in [one.code for one in result.warnings]
+    assert result.verdict.usable
+
+
 @pytest.mark.slow
 def test_a_beam_may_be_displaced_twice():
     recording, _ = displaced(planes=12, before=4)
@@ -173,9 +184,10 @@ def test_what_cannot_be_forgotten_is_refused():
     session, _ = fed(displaced()[0])
     with pytest.raises(hl.InputError, match="beam 'x'"):
         session.split_beam("x", "G")
-    for since in ("A", "x"):
-        with pytest.raises(hl.InputError, match=f"before plane '{since}'"):
-            session.split_beam("2", since)
+    with pytest.raises(hl.InputError, match="before plane 'A'"):
+        session.split_beam("2", "A")
+    with pytest.raises(hl.InputError, match="unknown plane 'x'; expected one of A, B, "):
+        session.split_beam("2", "x")
     blind = np.zeros(session.recording().ranges.shape, dtype=bool)
     blind[:, 1] = displaced()[0].plane_of_station > 4
     unseen, _ = fed(displaced()[0].without(blind))
@@ -188,6 +200,25 @@ def test_what_cannot_be_forgotten_is_refused():
     with pytest.raises(hl.InputError, match="beam '2 until G'"):
         session.split_beam("2 until G", "C")
     assert session.compare().largest < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [8, 10])
+def test_gross_errors_among_the_first_planes_are_no_move(seed):
+    """They led to wrong beams, beside which another beam seemed to have moved, to the end."""
+    recording, truth = displaced(planes=4, before=2, turn=0.0, seed=seed, stations=8)
+    rng, ranges = np.random.default_rng(seed), recording.ranges.copy()
+    early = np.argwhere(~np.isnan(ranges) & (recording.plane_of_station < 2)[:, None])
+    wrong = [tuple(at) for at in early[rng.choice(len(early), 3, replace=False)]]
+    for at in wrong:
+        ranges[at] += rng.choice([-1, 1]) * rng.uniform(5e-3, 3e-2)
+    session, updates = fed(replace(recording, ranges=ranges), NOISE, hl.CalibrationOptions())
+    assert all(update.moved is None for update in updates)
+    assert {(one.station, one.sensor) for one in session.rejected} == {
+        (recording.station_names[j], recording.beam_names[i]) for j, i in wrong
+    }
+    beams = session.beams()
+    assert (np.abs(beams.locations - truth.locations) < 4.5 * beams.sigma[:, :3]).all()
 
 
 def test_new_garbage_is_left_out_and_a_plane_of_nothing_else_is_doubted():

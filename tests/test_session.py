@@ -210,6 +210,8 @@ def test_an_exception_inside_an_update_changes_nothing(monkeypatch, error, call)
 def test_what_cannot_be_added_is_refused():
     recording = recorded(5)
     session = filled(recording)
+    with pytest.raises(hl.InputError, match="plane 'x' of a session without planes"):
+        hl.Session(EXACT, NONE).remove_plane("x")
     with pytest.raises(hl.InputError, match="station '1' twice"):
         session.add(plane(recording, 0))
     with pytest.raises(hl.InputError, match="plane 'x'"):

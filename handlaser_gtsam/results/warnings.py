@@ -174,7 +174,7 @@ def fit_warnings(
     far = float(np.linalg.norm(solution.best.locations, axis=1).max())
     if FAR_BEAM < far <= NO_MOUNT:
         yield warned("far-beam", {"distance_m": far})
-    yield from _same_mounts(solution.best, fit, names)
+    yield from _same_mounts(readings, solution.best, fit, names)
     treated = solution.variances is not None and solution.variances.pose is not None
     yield from _wrong_sigmas(fit, solution.redundancy, as_one, treated=treated)
     # Of a poor fit, the errors of the poses were not looked at.
@@ -227,11 +227,12 @@ def large_range_errors(
 
 
 def _same_mounts(
-    parameters: Parameters, fit: Fit, names: Sequence[str]
+    readings: Readings, parameters: Parameters, fit: Fit, names: Sequence[str]
 ) -> Iterator[CalibrationWarning]:
     """Warn of two beams in one place: a channel logged twice, with noise of its own.
 
-    No two sensors fit within a millimetre of each other, and point the same way to 0.01 rad.
+    No two sensors fit within a millimetre of each other, and point the same way to 0.01 rad. Beams that
+    never read at one station may be two states of one sensor, before it moved and after.
     """
     order = np.argsort(parameters.locations[:, 0], kind="stable").tolist()
     for number, i in enumerate(order):
@@ -241,7 +242,10 @@ def _same_mounts(
                 break
             turned = parameters.directions[j] - parameters.directions[i]
             near = np.linalg.norm(apart) < min(MM, 0.1 * fit.typical_range)
-            if near and np.linalg.norm(turned) < 10.0 * MM:
+            if not near or np.linalg.norm(turned) >= 10.0 * MM:
+                continue
+            stations = [readings.station[readings.beam == beam] for beam in (i, j)]
+            if np.intersect1d(*stations).size:
                 yield warned("column-twice", {"first": names[i], "second": names[j]})
 
 

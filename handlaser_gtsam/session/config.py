@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..data.noise import Noise
+from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Beams, Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
 from ..estimation.learning_scales import LearnedScales
@@ -113,6 +113,14 @@ class SessionConfig:
             return replace(found, pose=None if found.pose is None else found.pose[:1])
         pose = None if self.poses == "exact" else self.noise.pose_covariances(1)
         return Variances(np.full(len(self.names), self.sigma), self.noise.incidence_sigma, pose)
+
+    @property
+    def known(self) -> Noise:
+        """The noise with the scales that were learned, as if all were given."""
+        known = self.variances
+        pose = np.zeros((6, 6)) if known.pose is None else known.pose[0]
+        sigma = max(float(known.range_sigma[0]), LEAST_SIGMA)
+        return Noise(sigma, incidence_sigma=known.incidence_sigma, pose_covariance=pose)
 
     @property
     def contradicted(self) -> tuple[str, ...]:

@@ -183,10 +183,8 @@ class Session:
             No such plane, or the beams would not be determined without it.
         """
         with self._lock:
-            planes = self._contents.planes
-            if name not in planes:
-                raise InputError(f"plane {name!r}", f"one of {', '.join(planes) or 'none'}")
-            return self._without(planes[name].recording.station_names, name)
+            self._require_plane(name)
+            return self._without(self._contents.planes[name].recording.station_names, name)
 
     def remove_station(self, name: str) -> Update:
         """Take a station out again; its plane waits where the others do not determine it.
@@ -198,6 +196,13 @@ class Session:
         """
         with self._lock:
             return self._without((name,), self._contents.plane_of(name))
+
+    def _require_plane(self, name: str) -> None:
+        planes = self._contents.planes
+        if not planes:
+            raise InputError(f"plane {name!r} of a session without planes", "one that was added")
+        if name not in planes:
+            raise InputError(f"unknown plane {name!r}", f"one of {', '.join(planes)}")
 
     def _without(self, stations: tuple[str, ...], plane: str) -> Update:
         contents = self._contents.without(stations)
@@ -230,6 +235,7 @@ class Session:
             present = [name for name in now.config.names if name not in contents.names]
             if beam not in present:
                 raise InputError(f"beam {beam!r}", f"one of {', '.join(present)}")
+            self._require_plane(since)
             if since not in list(contents.planes)[1:] or before in contents.names:
                 raise InputError(
                     f"a move of beam {beam} before plane {since!r}",
@@ -364,6 +370,14 @@ def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple
                 message = RESTARTED
                 joined, inconsistent = tuple(new.contents.inside), ()
         new, comparison = new.compared_if_due()
+    moved = new.moved(recently=True)
+    if moved is not None and isinstance(new, SessionState) and new.config.reject:
+        before = None if comparison else now.moved(recently=True)
+        if before is None or (before.name, before.since) != (moved.name, moved.since):
+            judged = new.rather_gross(moved)
+            if judged is not new:
+                new, message, comparison, inconsistent = judged, RESTARTED, None, ()
+                joined, moved = tuple(new.contents.inside), new.moved(recently=True)
     begun_again = message or (comparison is not None and comparison.changes)
     gain = 0.5 * (new.with_shared.information - now.with_shared.information)
     old = set(now.contents.rejected)
@@ -375,7 +389,7 @@ def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple
         now.with_shared.sigmas(),
         message,
         tuple(reading for reading in new.contents.rejected if reading not in old),
-        new.moved(recently=True),
+        moved,
         inconsistent,
         comparison,
     )

@@ -8,6 +8,7 @@ iSAM2. The covariance is that of these sums, as in a batch solution. A new plane
 same however many there are.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -15,8 +16,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from .. import model
-from ..arrays import BoolArray
-from ..data.noise import LEAST_SIGMA, Noise
+from ..arrays import BoolArray, FloatArray
+from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Order, Readings, join
 from ..errors import HandlaserError, InputError
@@ -297,6 +298,32 @@ class SessionState:
             return self
         return self.changed(contents, tuple(names))[0]
 
+    def rather_gross(self, moved: BeamDrift) -> "SessionState":
+        """Return the state from a calibration of everything where no beam moved; itself otherwise.
+
+        Gross errors among the first planes lead to wrong beams, by which other readings are judged, and
+        beside which a good beam seems to move. So everything is calibrated without a move, and with the
+        one that was found, both with all readings judged again: that with the less unlikely residuals,
+        gross errors and move is believed. A move that cannot be calibrated yet stands.
+        """
+        batch, config = self.calibrated()
+        rejected = {(one.station, one.sensor) for one in self.contents.rejected}
+        same = rejected == {(one.station, one.sensor) for one in batch.fit.rejected}
+        if same or batch.status != "converged":
+            return self
+        with suppress(InputError):
+            recording = self.contents.split(moved.name, moved.since).recording()
+            split = calibrate_from(None, recording, config.known, config.options)
+            distance = recording.ranges[~np.isnan(recording.ranges)]
+            without, beside = (
+                one.fit.chi2 + price_of_gross(one.fit.outliers, distance, config.sigma)
+                for one in (batch, split)
+            )
+            beside += price_of_move(len(distance), len(config.names))
+            if split.status != "unobservable" and without < beside:
+                return SessionState.of(batch, self.contents, config.noise, config.options)
+        return self
+
     def calibrated(self) -> tuple[Calibration, SessionConfig]:
         """Return the batch calibration of everything, and what all planes have in common after it."""
         noise, options = self.config.noise, self.config.options
@@ -546,14 +573,10 @@ def begun_or_refused(contents: Contents, config: SessionConfig, beams: Beams) ->
 
 def solved(config: SessionConfig, readings: Readings, start: Parameters) -> Solution:
     """Return the batch solution of readings at the scales of a config, which are integrated over."""
-    learned, known = config.learned, config.variances
-    pose = np.zeros((6, 6)) if known.pose is None else known.pose[0]
-    sigma = max(float(known.range_sigma[0]), LEAST_SIGMA)
-    noise = Noise(sigma, incidence_sigma=known.incidence_sigma, pose_covariance=pose)
-    options = config.options
+    learned, options = config.learned, config.options
     if config.prior is None and options.range_error == "auto":
         options = replace(options, range_error="k1k2")
-    found = settle(readings, start, noise, options, prior=config.prior).finished()
+    found = settle(readings, start, config.known, options, prior=config.prior).finished()
     if learned is None or not found.observability.full:
         return found
     integrated = posterior(scale_problem(config, learned, readings, found.parameters), learned)
@@ -627,9 +650,7 @@ def _rather_moved(
 ) -> bool:
     """Tell whether a beam has moved rather than that the rejected readings are gross errors.
 
-    The explanation with the larger fall of chi2 beyond its price is believed. A reading that is
-    anything within the span W of the readings costs 2 ln(W / (sqrt(2 pi) sigma)), a move ln N for each
-    of its unknowns, both twice the logarithm of how rare they are.
+    The explanation with the larger fall of chi2 beyond its price is believed.
     """
     own = replace(contents.planes[name], fitted=fitted)
     planes = contents.with_planes({name: own}).fitted
@@ -646,7 +667,23 @@ def _rather_moved(
     ):
         return True  # of a far move the fall of chi2 is known to a part of itself only
     gross = fitted.misfit(state) - again.misfit(state)
-    gross -= 2.0 * gone * (max(price(d, sigma), 0.0) - np.log(GROSS_ERROR))
-    beams = len(fitted.config.names)
-    move = moved.statistic - MOUNT_DIM * np.log(len(d)) - 2.0 * np.log(beams / DISPLACED)
+    gross -= price_of_gross(gone, d, sigma)
+    move = moved.statistic - price_of_move(len(d), len(fitted.config.names))
     return bool(move > gross)
+
+
+def price_of_gross(count: int, distance: FloatArray, range_sigma: float) -> float:
+    """Return by how much chi2 has to fall for some gross errors among readings (N,) [m].
+
+    One that is anything within the span W of the readings costs 2 ln(W / (sqrt(2 pi) sigma)), and twice
+    the logarithm of how rare it is.
+    """
+    return 2.0 * count * (max(price(distance, range_sigma), 0.0) - float(np.log(GROSS_ERROR)))
+
+
+def price_of_move(readings: int, beams: int) -> float:
+    """Return by how much chi2 has to fall for a beam that has moved.
+
+    By ln N for each of its unknowns, and twice the logarithm of how rare it is.
+    """
+    return float(MOUNT_DIM * np.log(readings) + 2.0 * np.log(beams / DISPLACED))

@@ -126,6 +126,10 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
             if not error.explained_by
         ]
         explained = [error.code for error in found if error.explained_by]
+        if not clear:
+            return (
+                f"none that the displaced beam does not explain ({some(explained, NAMES_IN_LINE)})"
+            )
         return "; ".join(clear) + (
             f" (which explains {some(explained, NAMES_IN_LINE)})" if explained else ""
         )
