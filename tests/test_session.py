@@ -697,3 +697,13 @@ def test_the_estimate_never_grazes_a_plane():
     directions = np.tile(along / np.linalg.norm(along), (len(mean.directions), 1))
     grazing = replace(found.posterior, parameters=replace(mean, directions=directions))
     assert replace(found, posterior=grazing).best is found.parameters
+
+
+def test_a_calibration_that_is_interrupted_changes_nothing(monkeypatch):
+    session = filled(recorded(4))
+    before = session.calibration()
+    cut = replace(before, status="not_converged", interrupted=True)
+    monkeypatch.setattr(state, "calibrate_from", lambda *_: cut)
+    with pytest.raises(KeyboardInterrupt):
+        session.recalibrate()
+    assert session.calibration() == before

@@ -328,6 +328,8 @@ class SessionState:
         """Return the batch calibration of everything, and what all planes have in common after it."""
         noise, options = self.config.noise, self.config.options
         batch = calibrate_from(None, self.contents.recording(), noise, options)
+        if batch.interrupted:
+            raise KeyboardInterrupt
         return batch, SessionConfig.of(batch, noise, options)
 
     def recalibrated(self) -> tuple["SessionState", Comparison]:
