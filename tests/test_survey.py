@@ -165,6 +165,42 @@ def test_a_cone_is_refused_with_what_is_undetermined():
     assert np.isfinite(sensor.rotation_sigma).all()  # the turn is known all the same
 
 
+@pytest.mark.parametrize("off", [0.0, 0.06])
+def test_a_ball_in_the_middle_of_every_view_leaves_a_turn_open(off):
+    """However the hand turns; in a camera's frame the ball is off to any side, or on its axis [m]."""
+    rng, radius, stations = np.random.default_rng(0), 0.05, 10
+    x, y = (grid.ravel() for grid in np.meshgrid(*[np.linspace(-0.4, 0.4, 25)] * 2))
+    rays = np.column_stack((x, y, np.ones_like(x)))
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    R = Rotation.random(stations, rng=rng).as_matrix()
+    side = rng.uniform(0.0, 2.0 * np.pi, size=stations)
+    middle = np.column_stack(
+        (off * np.cos(side), off * np.sin(side), rng.uniform(0.25, 0.35, stations))
+    )
+    X = Rotation.from_euler("xyz", [20.0, -35.0, 10.0], degrees=True).as_matrix()
+    location = np.array([0.1, -0.05, 0.2])
+    points, of = [], []
+    for station, c in enumerate(middle):
+        along = rays @ c
+        inside = along**2 - c @ c + radius**2
+        reading = along - np.sqrt(np.where(inside > 0.0, inside, np.nan))
+        seen = np.isfinite(reading)
+        reading += 1e-5 * rng.standard_normal(len(rays))
+        points.append((reading[:, None] * rays)[seen])
+        of.append(np.full(seen.sum(), station))
+    t = -np.einsum("sij,sj->si", R, middle @ X.T + location)  # the ball is at the origin
+    camera = hl.Shots.points("camera", np.concatenate(of), np.concatenate(points))
+    survey = hl.Survey(hl.StationList(R, t, ("sphere:ball",) * stations), (camera,))
+    result = hl.calibrate(survey, EXACT)
+    if off:
+        assert result.usable
+    else:
+        (words,) = result.undetermined
+        assert "the turn of camera about the direction (0.00, 0.00, 1.00) of its own frame" in words
+        assert "To determine it: see the ball off the middle of the view" in result.message
+        assert "plane" not in result.message
+
+
 @pytest.mark.slow
 def test_covariances_are_gtsams_and_the_dense_inverse():
     rig = rigs_by_rays.mixed(3, sensors=("profiler", "beam"), targets="planes+sphere")

@@ -28,7 +28,12 @@ from handlaser_gtsam.model.conventions import numbers_of, poses_of
 from handlaser_gtsam.model.geometry import normalized
 from handlaser_gtsam.results.description.survey import facts
 from handlaser_gtsam.results.survey_check import check_lines, check_survey
-from handlaser_gtsam.results.survey_misfit import _looks_other, better_kinds, misread
+from handlaser_gtsam.results.survey_misfit import (
+    _listed_twice,
+    _looks_other,
+    better_kinds,
+    misread,
+)
 from handlaser_gtsam.results.survey_relations import said_by_readings
 from handlaser_gtsam.results.survey_warnings import rejected_of
 
@@ -1162,3 +1167,29 @@ def test_a_pose_that_is_off_does_not_hide_in_errors_of_the_hand():
     assert [one.station for one in result.rejected] == ["7"]
     assert off_by(result) < 20.0
     assert result.sensors["laser"].location_sigma.max() < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("labels", "same", "noise", "named"),
+    [
+        (("plane:a", "plane:b"), 6, SIGMA, "6 scans of s"),
+        (("plane:a", "plane:b"), 1, SIGMA, ""),  # one shot of many keeps nothing from fitting
+        (("plane:a", "sphere:b"), 6, SIGMA, ""),  # a ball before a wall
+        (("plane:a", "plane:a"), 6, SIGMA, ""),  # stands twice, and counts once
+        (("plane:a", "plane:b"), 6, 0.0, ""),  # readings that are all the same
+    ],
+)
+def test_scans_that_stand_under_several_labels_are_said(labels, same, noise, named):
+    """At each of six places of the hand there are two stations, of which some have the same points."""
+    rng, stops = np.random.default_rng(0), 6
+    x, z = np.tile(np.linspace(-0.1, 0.1, 50), (2 * stops, 1)), np.full((2 * stops, 50), 0.3)
+    z += noise * rng.standard_normal(z.shape)
+    z[1 : 2 * same : 2] = z[: 2 * same : 2]
+    t = np.repeat(rng.uniform(size=(stops, 3)), 2, axis=0)
+    poses = hl.StationList(np.tile(np.eye(3), (2 * stops, 1, 1)), t, labels * stops)
+    shots = hl.Shots.profiler("s", np.repeat(np.arange(2 * stops), 50), x.ravel(), z.ravel())
+    said = "".join(_listed_twice(rows_of(hl.Survey(poses, (shots,)))))
+    assert said.startswith(named)
+    assert bool(said) == bool(named)
+    if said:
+        assert "such as that of stations 1 (plane:a), 2 (plane:b)" in said

@@ -6,9 +6,19 @@ import numpy as np
 import pytest
 
 import handlaser_gtsam as hl
-from benchmarks import rigs_by_scene
+from benchmarks import rigs_by_rays, rigs_by_scene
 from benchmarks.rigs import FAR, errors_of, survey_of
+from handlaser_gtsam.estimation import survey as estimation
+from handlaser_gtsam.estimation.survey import (
+    _blames_relations,
+    first_fit,
+    first_state,
+    state_of,
+)
+from handlaser_gtsam.estimation.survey_outliers import GROSS
+from handlaser_gtsam.estimation.survey_planes import other_planes_taken, with_planes_ahead
 from handlaser_gtsam.estimation.survey_rows import rows_of
+from handlaser_gtsam.model.condensed_shots import grown
 from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.targets_in_shots import planes_in
 
@@ -44,6 +54,56 @@ def test_an_arc_is_no_planes_although_short_pieces_of_it_look_flat():
     aside = 0.5 * np.sin(angle)
     reading = 0.5 * np.cos(angle) - np.sqrt(0.16**2 - aside**2) + rng.normal(scale=1e-4, size=300)
     assert planes_in(KINDS["scanner"], (angle[:, None], reading)) == []
+
+
+def test_noise_inside_shots_is_what_the_points_say_that_count_in_the_end():
+    """A scan of which most points are on another wall says nothing of the noise of the right one."""
+    rng, count = np.random.default_rng(0), 12
+    parts = [0.3 if i % 4 == 0 else 0.7 for i in range(count)]  # of the wall x = 1
+    angle, reading = (
+        np.concatenate(some) for some in zip(*(corner(p, rng) for p in parts), strict=True)
+    )
+    scan = hl.Shots.scanner("scan", np.repeat(np.arange(count), 400), angle[:, 0], reading)
+    R, t = np.broadcast_to(np.eye(3), (count, 3, 3)), np.zeros((count, 3))
+    t[:, 1] = 0.1 * np.arange(count)  # along the wall
+    rows = rows_of(hl.Survey(hl.StationList(R, t, ("plane:wall",) * count), (scan,)))
+    mixed = [replace(item, shot=grown(item.shot, 40.0, 1.0)) for item in rows.items]
+    state = state_of(replace(rows, items=tuple(mixed)), hl.Noise())
+    sensor, wall = [*np.eye(3).ravel(), *np.zeros(7)], [1.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0]
+    state.values = {
+        "pose": rows.poses(),
+        "sensor": np.array([[sensor]]),
+        "plane": np.array([[wall]]),
+    }
+    assert other_planes_taken(state, GROSS, {})
+    assert (state.misfits() < GROSS).all()
+    assert {item.growth for item in state.rows.items} == {1.0}
+    ahead = with_planes_ahead(replace(rows, items=tuple(mixed)))
+    assert {item.growth for item in ahead.items} == {1.0}
+
+
+def test_a_false_angle_is_blamed_where_a_search_has_turned_a_plane_round(monkeypatch):
+    """Readings do not tell a plane from itself the other way round, which 180 degrees less fits.
+
+    A quick start without relations, which needs steps to the minimum before it fits, tells it.
+    """
+    exact = hl.Noise(pose_translation_sigma=1e-5, pose_rotation_sigma=1e-5)
+    rig = rigs_by_rays.profiler(3, planes=2, stations=12, hand_sigma=(1e-5, 1e-5))
+    rows = rows_of(survey_of(rig), exact)
+    state = first_state(rows, exact)
+    assert state.minimize()
+    rough = {name: x.copy() for name, x in state.values.items()}
+    rough["plane"][..., 3] += 0.002
+    monkeypatch.setattr(estimation, "start_of", lambda *_, **__: (dict(rough), ()))
+    planes = state.values["plane"][0]
+    angle = float(np.arccos(-planes[0, :3] @ planes[1, :3]))
+    known = hl.Known("angle", rows.targets["plane"], value=angle, sigma_angle=1e-4)
+    planes[0, :4] *= -1.0
+    fitted = replace(state, rows=replace(rows, known=(known,)))
+    free = _blames_relations(fitted, settled=False)
+    assert free
+    assert first_fit(free).fits
+    assert not first_fit(fitted).fits  # which the false relation draws away
 
 
 @pytest.mark.slow

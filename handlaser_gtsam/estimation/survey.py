@@ -266,9 +266,10 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
     settled = _settle_near(state)
     again, others = best_image(state, _settle_near)
     settled = settled if again is None else again
-    if (not settled or _doubtful(state)) and _blames_relations(state, settled):
+    blamed = _blames_relations(state, settled) if not settled or _doubtful(state) else None
+    if blamed is not None:
         settled = True
-        first = min(first, first_fit(state), key=lambda one: one.misfit)  # without the relation
+        first = min(first, first_fit(blamed), key=lambda one: one.misfit)
     for found_better in (_image_that_agrees, _settled_without_off_target):
         if found_better(state):
             settled = True
@@ -408,7 +409,7 @@ def first_state(
         return state
     free = _begun_without_relations(state)
     if free is not None and _some_relation_is_contradicted(replace(free, tied=True)):
-        state.rows, state.values, state.used = free.rows, free.values, free.used
+        state.take(free)
         return state
     starts, ahead = [state], with_planes_ahead(rows)
     if ahead is not None:
@@ -459,7 +460,7 @@ def _begun_without_relations(state: SurveyState) -> SurveyState | None:
     """
     rows, every = state.rows, np.ones(len(state.used), dtype=bool)
     free = replace(state, rows=replace(rows, known=()), used=every, tied=False)
-    if not (state.relations and begin_quickly(free, GROSS) and _surely_fits(free)):
+    if not (state.relations and begin_quickly(free) and _surely_fits(free)):
         return None
     complete_bodies(rows, free.values)
     free.rows = replace(free.rows, known=rows.known)
@@ -556,14 +557,14 @@ def _without_relations(state: SurveyState) -> Iterator[SurveyState]:
         yield begun
 
 
-def _blames_relations(state: SurveyState, settled: bool) -> bool:
+def _blames_relations(state: SurveyState, settled: bool) -> SurveyState | None:
     """Let shots count that only a relation contradicts, and sizes be as they are without relations.
 
-    Tell whether this changed the state: a relation must be contradicted by what is left, which is more
-    than before where the state had `settled`.
+    Return where the readings lead without relations; None where the state stays as it is: a relation
+    must be contradicted by what is left, which is more than before where the state had `settled`.
     """
     if not state.relations:
-        return False
+        return None
     for free in _without_relations(state):
         if not _settle(free) or (settled and free.used.sum() <= state.used.sum()):
             continue
@@ -576,8 +577,8 @@ def _blames_relations(state: SurveyState, settled: bool) -> bool:
         there = replace(tied)
         found = there if there.minimize() and _some_relation_is_contradicted(there) else tied
         state.take(found)
-        return True
-    return False
+        return free
+    return None
 
 
 def _image_that_agrees(state: SurveyState) -> bool:

@@ -15,7 +15,7 @@ from ..model.families import PLANE
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets_in_shots import planes_in
-from .survey_rows import Item, SurveyRows, stated_of
+from .survey_rows import Item, SurveyRows, stated_of, with_noise_inside
 from .survey_state import SurveyState
 
 Shot = tuple[int, int]
@@ -59,7 +59,9 @@ def other_planes_taken(state: SurveyState, gross: float, planes: Planes) -> bool
             items.append(item)
             used.append(True)
     lost = tuple(one for one in rows.lost if one not in taken)
-    state.rows, state.used = replace(rows, items=tuple(items), lost=lost), np.array(used)
+    # What the shots that mixed several planes said of the noise inside them is wrong.
+    some = with_noise_inside(rows.survey, items) if taken else rows.items
+    state.rows, state.used = replace(rows, items=some, lost=lost), np.array(used)
     return bool(taken)
 
 
@@ -77,7 +79,7 @@ def with_planes_ahead(rows: SurveyRows) -> SurveyRows | None:
             off = np.abs(across - np.median(across[seen], axis=0)).max(axis=1)
             ahead = off <= np.quantile(off[seen], 1.0 / 3.0)
             items[i] = max(planes, key=lambda one: ahead[one.points].sum())
-    return replace(rows, items=tuple(items)) if several else None
+    return replace(rows, items=with_noise_inside(rows.survey, items)) if several else None
 
 
 def _several(rows: SurveyRows, member: int, station: int) -> tuple[Item, ...]:

@@ -328,7 +328,7 @@ def rows_of(survey: Survey, noise: Noise | None = None) -> SurveyRows:
     ]
     return SurveyRows(
         survey,
-        tuple(items),
+        with_noise_inside(survey, items),
         {family: tuple(names) for family, names in targets.items()},
         tuple(one for one in seen_of if one is not None),
         tuple(lost),
@@ -394,11 +394,25 @@ def _condensed(shots: Shots, parts: Sequence[tuple[int, str, IntArray]]) -> list
         tables = [(shots.across[parts[i][2]], shots.reading[parts[i][2]]) for i in seen]
         none = np.zeros(len(RAY_ERRORS))
         some = condensed_shots(KINDS[shots.kind], target, tables, stated_of(shots, none))
-        if KINDS[shots.kind].flat:
-            some = with_own_noise(some)
         for i, shot in zip(seen, some, strict=True):
             found[i] = shot
     return found
+
+
+def with_noise_inside(survey: Survey, items: Sequence[Item]) -> tuple[Item, ...]:
+    """Return items whose shots count how their points err, by what those of each sensor say of it.
+
+    Sensors with rays of one plane say it, before targets of each family by themselves.
+    """
+    found, of_sensor = list(items), defaultdict[tuple[int, str], list[int]](list)
+    for i, item in enumerate(items):
+        if item.shot is not None and KINDS[survey.shots[item.member].kind].flat:
+            of_sensor[item.member, item.target[0]].append(i)
+    for own in of_sensor.values():
+        shots = with_own_noise([items[i].shot for i in own])
+        for i, shot in zip(own, shots, strict=True):
+            found[i] = replace(items[i], shot=shot)
+    return tuple(found)
 
 
 def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray]]:

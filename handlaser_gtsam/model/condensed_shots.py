@@ -418,12 +418,14 @@ def with_own_noise(shots: Sequence[Condensed | None]) -> list[Condensed | None]:
     """Return shots of rays of one plane, before targets of one kind, whose rows count how they err.
 
     Errors of neighbouring readings may go together, as filtered or grainy ones do, and some shots may
-    be rougher than others: both follow from residuals inside all shots, where they say it clearly.
+    be rougher than others: both follow from residuals inside all shots, where they say it clearly. What
+    the rows counted of it before does not matter.
     """
+    shots = [shot and grown(shot, 1.0, 1.0) for shot in shots]
     known = [shot for shot in shots if shot is not None and not shot.hardly_known]
     telling = [shot for shot in known if shot.dof > 0 and shot.squares > 0.0]
     if len(telling) < FEWEST_SHOTS:
-        return list(shots)
+        return shots
     together = common_growth(np.array([shot.together for shot in telling]))
     level = float(np.median([shot.squares / shot.dof for shot in telling]))
     found = list(shots)
@@ -440,18 +442,21 @@ def with_own_noise(shots: Sequence[Condensed | None]) -> list[Condensed | None]:
 def grown(shot: Condensed, together: float, rough: float) -> Condensed:
     """Return a shot whose variances are larger by what goes together, and by how rough it is.
 
-    Rows of single readings are as many as before, each with the larger variance.
+    This takes the place of its growth so far. Rows of single readings are as many as before, each with
+    the larger variance.
     """
-    if together == rough == 1.0:
+    if shot.growth == (together, rough):
         return shot
-    root = np.sqrt(together * rough)
+    before, further = shot.growth, together / shot.growth[0]
+    variance = further * rough / before[1]
+    root = np.sqrt(variance)
     return replace(
         shot,
         mix=shot.mix / root,
         rest=shot.rest / root,
         rest_by_error=shot.rest_by_error / root,
-        squares=shot.squares / (together * rough),
-        dof=shot.dof / together,
+        squares=shot.squares / variance,
+        dof=shot.dof / further,
         growth=(together, rough),
     )
 

@@ -244,7 +244,8 @@ def _part_words(part: OpenPart) -> str:
     axes, count = part.axes, part.axes.shape[1]
     if part.quantity in ALONG_AND_ACROSS and count < 3:
         across = np.cross(axes[:, 0], axes[:, 1]) if count == 2 else axes[:, 0]
-        return f"{ALONG_AND_ACROSS[part.quantity][count - 1]} {vector_words(across)}"
+        words = f"{ALONG_AND_ACROSS[part.quantity][count - 1]} {vector_words(across)}"
+        return f"{words} of the hand" if part.quantity == "turn" else words
     if part.quantity == "direction" and count == 1:
         return f"direction towards {vector_words(axes[:, 0])}"
     if part.quantity == "range error":

@@ -43,6 +43,7 @@ from .survey_misfit import (
 )
 from .survey_motion import (
     CURE_OF_A_CIRCLE,
+    CURE_OF_A_LINE,
     MORE_STATIONS,
     counts_of,
     leaves_open,
@@ -202,8 +203,9 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         numbers,
         unknowns,
         undetermined,
-        # On a cone, only the noise in the tilt of the target makes it look determined.
-        bool(undetermined) and (not weak.any() or CURE_OF_A_CIRCLE in advice),
+        # On a cone, or a line, only noise in where the target is makes it look determined.
+        bool(undetermined)
+        and (not weak.any() or not {CURE_OF_A_CIRCLE, CURE_OF_A_LINE}.isdisjoint(advice)),
         advice,
         first_noise(rows, first, noise),
         first.misfit,

@@ -280,10 +280,36 @@ def no_fit(
     hints = {"kind": plain, "known": rows.known, "groove": "groove" in map(kind_of, labels)}
     more = [said(f"survey-checks:{of}", names=names, have=have) for of in hints if hints[of]]
     known = [one.message for one in causes if one.code in (*MISREAD, DISPLACED)]
+    known += _listed_twice(rows)
     what = "; ".join(known) or "".join((said("survey-checks"), *more))
     noise = some(first_noise(rows, fit, given), NAMES_IN_LINE)
     values = {"misfit": fit.misfit, "distance_m": fit.distance}
     return warned(f"{NO_FIT}:shots", values, noise=noise, what=what, of=fit.of)
+
+
+def _listed_twice(rows: SurveyRows) -> Iterator[str]:
+    """Say of which sensors many scans are listed under several labels of one kind, with all points.
+
+    Each of these says that most points are on its own target. A ball before a wall, and that wall, may
+    be in one scan. A few scans, or equal readings of few zones, keep nothing from fitting.
+    """
+    survey, stations = rows.survey, rows.survey.stations
+    labels = [normal_label(label) for label in stations.plane_labels]
+    for shots in survey.shots:
+        alike = defaultdict[tuple[int, str, bytes, bytes], list[int]](list)
+        seen = np.unique(shots.station).tolist()
+        for station in seen:
+            own = shots.station == station
+            across, reading = shots.across[own], shots.reading[own]
+            if np.ptp(reading) > 0.0:
+                kind = kind_of(labels[station])
+                same = int(rows.stops[station]), kind, across.tobytes(), reading.tobytes()
+                alike[same].append(station)
+        several = [each for each in alike.values() if len({labels[one] for one in each}) > 1]
+        if sum(map(len, several)) > MOST_REJECTED * len(seen):
+            names = [f"{stations.station_names[one]} ({labels[one]})" for one in several[0]]
+            number = count(len(several), "scan")
+            yield said("listed-twice", scans=number, sensor=shots.name, stations=some(names, 6))
 
 
 def with_causes(error: InputError, causes: Iterable[CalibrationWarning]) -> InputError:

@@ -16,6 +16,7 @@ from ..model.families import BEAM, DIRECTION, FAMILIES, PLANE, RANGE_ERROR, base
 from ..model.relation import BODY
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
+from ..model.targets.sphere import SPHERE
 from ..observability.motion import COUNTED_TURN, PoorMotion, named
 from ..observability.wording import (
     MOUNTED,
@@ -32,7 +33,8 @@ from .messages import said
 
 CURE_OF_A_CIRCLE = "tilt it by another angle, or add a second plane"
 """What determines a sensor whose normals lie on one circle."""
-
+CURE_OF_A_LINE = "see the ball off the middle of the view, to several sides of it"
+"""What determines a sensor for which the middles of balls lie on one line."""
 
 MORE_STATIONS = "measure at more stations"
 """What determines more where numbers are hardly more than unknowns: the first advice, where the hand
@@ -72,8 +74,15 @@ def open_words(
         return what, cures
     motion = motion_of(rows)
     circles = tuple(_on_one_circle(rows, found.values)) if motion is None else ()
-    if len(circles) == null.shape[1]:
-        return circles, (CURE_OF_A_CIRCLE,)
+    turned = {p.name: p for p in parts if p.quantity == "turn" and p.axes.shape[1] == 1}
+    on_line = _on_one_line(rows, found.values)
+    lines = {name: words for name, words in on_line.items() if name in turned}
+    if motion is None and len(circles) + len(lines) == null.shape[1]:
+        why = (CURE_OF_A_CIRCLE, circles), (CURE_OF_A_LINE, lines)
+        return (*circles, *lines.values()), tuple(cure for cure, said_of in why if said_of)
+    if lines:
+        what, cures = (*what, *lines.values()), (*cures, CURE_OF_A_LINE)
+        parts = tuple(p for p in parts if p.quantity != "turn" or p.name not in lines)
     level = {} if motion is None else _level(rows, found, motion, images)
     if motion is not None and level:
         names = some([f"{kind} {name}" for name, kind in level.items()], NAMES_IN_LINE)
@@ -269,3 +278,23 @@ def _on_one_circle(rows: SurveyRows, values: Mapping[str, FloatArray]) -> Iterat
             direction = vector_words(axes[-1])
             plane = rows.label(own[0].target)
             yield said("open:circle", sensor=shots.name, direction=direction, plane=plane)
+
+
+def _on_one_line(rows: SurveyRows, values: Mapping[str, FloatArray]) -> dict[str, str]:
+    """Return the turns, by name, of sensors that saw balls alone, whose middles are on one line."""
+    stations, found = rows.survey.stations, dict[str, str]()
+    for member, shots in enumerate(rows.survey.shots):
+        own = [i for i in rows.items if i.mount == (SENSOR.name, member)]
+        if not own or any(i.target[0] != SPHERE.name for i in own):
+            continue
+        station = [i.station for i in own]
+        middle = values[SPHERE.name][[i.target[1] for i in own], :3]
+        R, t = stations.world_R_hand[station], stations.world_t_hand[station]
+        X, location = pose_of(values[SENSOR.name][member])
+        seen = (np.einsum("sij,si->sj", R, middle - t) - location) @ X
+        spread, axes = np.linalg.svd(seen - seen.mean(axis=0), full_matrices=False)[1:]
+        least = np.sin(COUNTED_TURN) * np.sqrt(len(seen)) * rows.length
+        if len(spread) == 3 and spread[1] < least <= spread[0]:
+            direction = vector_words(axes[0])
+            found[shots.name] = said("open:line", sensor=shots.name, direction=direction)
+    return found
