@@ -146,6 +146,9 @@ def with_curved_errors(
     tr(B_i B_j) / 2 for ranges i and j; of single rows it is noise. So a profile through the middle of a
     ball does not tell by how much the hand is off across it.
     """
+    seen = {slot.family for block in blocks for slot in block.slots()}
+    if SPHERE.name not in seen or not covariance.any():
+        return list(blocks)
     root = covariance_roots(covariance)
     near: dict[int, _NearHand] = {}
     others = np.zeros((len(covariance), 6, 7))
@@ -153,19 +156,17 @@ def with_curved_errors(
         slot = next((slot for slot in block.slots() if slot.family == POSE.name), None)
         if slot is None:
             continue
-        ranges = block.ranges if isinstance(block, Mixed) else block
-        if isinstance(ranges, Ranges) and ranges.target.family == SPHERE.name:
-            pose = values[POSE.name][0, slot.member]
-            near[index] = _NearHand(
-                block, ranges, values, pose, root[slot.member], _stops(block, slot)
-            )
-            continue
+        stop = _stops(block, slot)
+        if isinstance(block, Mixed | Ranges):
+            ranges = block.ranges if isinstance(block, Mixed) else block
+            if ranges.target.family == SPHERE.name:
+                pose = values[POSE.name][0, slot.member]
+                near[index] = _NearHand(block, ranges, values, pose, root[slot.member], stop)
+                continue
         columns = whitened(block.evaluate(values), block.weights)[:, 0]
         A = np.einsum("cgs,gcd->gsd", columns[slot.columns], root[slot.member])
-        _add_normal(others, _stops(block, slot), A, columns[-1])
+        _add_normal(others, stop, A, columns[-1])
     new = list(blocks)
-    if not near or not covariance.any():
-        return new
     z, C = np.zeros((len(covariance), 6)), np.zeros_like(root)
     for _ in range(STEPS_OF_HAND):
         sums = others.copy()
