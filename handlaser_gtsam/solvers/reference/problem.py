@@ -3,8 +3,9 @@ r"""Least squares of any readings, relations and priors with SciPy.
 Derivatives are SciPy's differences. Covariances follow from Gauss-Markov, inv(J'J) of residuals in
 standard deviations. Errors of the hand are found by moving the poses: for the derivatives A of a
 station's residuals by them, in standard deviations, the weight is the inverse root of I + A A', by its
-singular values. Weights, the noise of the readings that the residuals show, and what a systematic error
-of size 1 does, are held while SciPy runs and then updated at its solution.
+singular values. What residuals on spheres are beyond the first order is taken at the most probable
+errors. Weights, this, the noise of the readings that the residuals show, and what a systematic error of
+size 1 does, are held while SciPy runs and then updated at its solution.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,6 +33,8 @@ TOLERANCE = 1e-11
 FROM_BESIDE = 100
 """Evaluations after which SciPy begins again at the start, where it does not arrive from beside it: it
 takes about ten, unless rays miss their sphere there."""
+STEPS_OF_HAND = 4
+"""Of Gauss and Newton, to the most probable error of the hand at a station."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,6 +121,9 @@ class Residuals:
         self._pose = self._station
         if problem.stops is not None:
             self._station = problem.stops[self._pose]
+        kinds = [np.full(one.rows * len(one.solved), one.target_kind) for one in problem.observed]
+        self._on_sphere = np.concatenate(kinds) == "sphere"
+        self._curved = np.zeros(len(self._station))
         self._weights: list[tuple[IntArray, FloatArray, FloatArray]] = []
         self._known = np.flatnonzero(np.isfinite(self.unknowns.sigma))
         self.weigh(self.unknowns.x0)
@@ -133,7 +139,7 @@ class Residuals:
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return all residuals at a vector of unknowns."""
         at = self.unknowns.at(x)
-        e = self._whitened(self._readings(at, *self._hands(at)))
+        e = self._whitened(self._curved + self._readings(at, *self._hands(at)))
         relations = [relation_residuals(*one, at) for one in self.problem.known]
         return np.concatenate((e, *relations, (x / self.unknowns.sigma)[self._known]))
 
@@ -154,7 +160,9 @@ class Residuals:
                         parts.append(A[rows] @ _root(problem.own[one]) * (pose == one)[:, None])
                 U, size, _ = np.linalg.svd(np.hstack(parts), full_matrices=False)
                 self._weights.append((rows, U, 1.0 - 1.0 / np.sqrt(1.0 + size**2)))
-        heavy = self._whitened(self._whitened(self._readings(at, R, t)))
+            if self._on_sphere.any():
+                self._curved = self._beyond_first_order(at, R, t, A)
+        heavy = self._whitened(self._whitened(self._curved + self._readings(at, R, t)))
         end = 0
         for i, one in enumerate(problem.observed):
             begin, end = end, end + one.rows * len(one.solved)
@@ -195,6 +203,34 @@ class Residuals:
         pairs = zip(self.problem.observed, self._counted, strict=True)
         aiming = self.problem.aiming_sigma
         return np.concatenate([one.residuals(at, R, t, how, aiming) for one, how in pairs])
+
+    def _beyond_first_order(
+        self, at: At, R: FloatArray, t: FloatArray, A: FloatArray
+    ) -> FloatArray:
+        """Return by how much residuals (N,) on spheres are not linear in the error of the hand.
+
+        It is taken at the most probable errors of the hand poses (M, 3, 3), (M, 3), unknowns as they
+        are; A (N, 6) are the derivatives of the residuals at the recorded poses.
+        """
+        problem, begun, curved = self.problem, self._readings(at, R, t), self._on_sphere
+        assert problem.pose is not None
+        stops = np.arange(len(R)) if problem.stops is None else problem.stops
+        x, root = np.zeros((len(R), 6)), np.stack([_root(C) for C in problem.pose])
+        beyond = np.zeros_like(begun)
+        for _ in range(STEPS_OF_HAND):
+            moved = R @ Rotation.from_rotvec(x[stops, :3]).as_matrix()
+            place = t + np.einsum("mij,mj->mi", R, x[stops, 3:])
+            by_pose = A.copy()
+            by_pose[curved] = by_poses(partial(self._readings, at), moved, place)[curved]
+            linear = np.einsum("ni,ni->n", A, x[self._station])
+            beyond[curved] = (self._readings(at, moved, place) - begun - linear)[curved]
+            left = begun + beyond + np.einsum("ni,ni->n", A - by_pose, x[self._station])
+            for station in np.unique(self._station[curved]):
+                rows, L = self._station == station, root[station]
+                whole = np.vstack((by_pose[rows] @ L, np.eye(6)))
+                z = np.linalg.lstsq(whole, -np.append(left[rows], np.zeros(6)), rcond=None)[0]
+                x[station] = L @ z
+        return beyond
 
     def _whitened(self, e: FloatArray) -> FloatArray:
         for rows, U, shrink in self._weights:
