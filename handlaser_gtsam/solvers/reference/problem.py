@@ -153,7 +153,7 @@ class Residuals:
         self._counted = [one.counted(at, R, t, problem.errors) for one in problem.observed]
         if problem.pose is not None:
             A = by_poses(partial(self._readings, at), R, t)
-            rest = None
+            rest = np.empty((len(A), 0))
             if self._on_sphere.any():
                 self._curved, rest = self._beyond_first_order(at, R, t, A)
             order = np.argsort(self._station, kind="stable")
@@ -164,9 +164,8 @@ class Residuals:
                 if problem.own is not None:
                     for one in np.unique(pose):
                         parts.append(A[rows] @ _root(problem.own[one]) * (pose == one)[:, None])
-                for shot in np.unique(self._shot[rows]) if rest is not None else ():
-                    of_shot = (self._shot[rows] == shot)[:, None]
-                    parts.append(rest[rows] * of_shot)
+                for shot in np.unique(self._shot[rows]):
+                    parts.append(rest[rows] * (self._shot[rows] == shot)[:, None])
                 U, size, _ = np.linalg.svd(np.hstack(parts), full_matrices=False)
                 self._weights.append((rows, U, 1.0 - 1.0 / np.sqrt(1.0 + size**2)))
         heavy = self._whitened(self._whitened(self._curved + self._readings(at, R, t)))
