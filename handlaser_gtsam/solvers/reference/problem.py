@@ -35,7 +35,7 @@ TOLERANCE = 1e-11
 FROM_BESIDE = 100
 """Evaluations after which SciPy begins again at the start, where it does not arrive from beside it: it
 takes about ten, unless rays miss their sphere there."""
-STEPS_OF_HAND = 8
+STEPS_TO_HAND = 8
 """Of Gauss and Newton, to the most probable error of the hand at a station."""
 
 
@@ -247,7 +247,7 @@ class Residuals:
             linear = np.einsum("ni,ni->n", A, x[self._station])
             return np.where(curved, self._readings(at, *moved(x)) - begun - linear, 0.0)
 
-        for _ in range(STEPS_OF_HAND):
+        for _ in range(STEPS_TO_HAND):
             by_pose = A.copy()
             by_pose[curved] = by_poses(partial(self._readings, at), *moved(x))[curved]
             left = begun + beyond(x) + np.einsum("ni,ni->n", A - by_pose, x[self._station])
