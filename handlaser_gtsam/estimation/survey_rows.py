@@ -400,9 +400,9 @@ def _condensed(shots: Shots, parts: Sequence[tuple[int, str, IntArray]]) -> list
 
 
 def with_noise_inside(survey: Survey, items: Sequence[Item]) -> tuple[Item, ...]:
-    """Return items whose shots count how their points err, by what those of each sensor say of it.
+    """Return items whose shots count how their points err, as all shots of their sensor show it.
 
-    Sensors with rays of one plane say it, before targets of each family by themselves.
+    Sensors with rays of one plane show it, before targets of each family by themselves.
     """
     found, of_sensor = list(items), defaultdict[tuple[int, str], list[int]](list)
     for i, item in enumerate(items):

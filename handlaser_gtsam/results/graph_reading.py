@@ -26,7 +26,7 @@ from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
 from ..quantities import NEGLIGIBLE, TEN_TIMES
 from ..solvers.graph import parameters_of
-from ..solvers.graph_levenberg import OPTIMAL, require_values, told_of_values
+from ..solvers.graph_levenberg import OPTIMAL, require_values, usable_values
 from .calibration import Calibration
 from .calibration_data import OF_GRAPH, Determined, Fit, StartReport, Status
 from .messages import warned
@@ -348,7 +348,7 @@ def read_graph(
     require_names("the name of a plane", planes)
     own = OwnGraph(graph, values, beams, planes)
     wanted = _variables(own)
-    with told_of_values("value", graph, values):
+    with usable_values("value", graph, values):
         linear, points = amid_readings(graph.linearize(values), values)
     graph_fit = _fit_of_graph(own, wanted, linear.gradientAtZero().vector().size)
     fit = graph_fit.fit

@@ -231,7 +231,7 @@ def optimize(
         return Point(values, cost, lambda: none, linear)
 
     rows = sum(graph.at(i).dim() for i in range(graph.size()) if graph.exists(i))
-    with told_of_values("start", graph, values):
+    with usable_values("start", graph, values):
         return _minimised(
             evaluate,
             values,
@@ -245,10 +245,10 @@ def optimize(
 
 
 @contextmanager
-def told_of_values(
+def usable_values(
     what: str, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
 ) -> Iterator[None]:
-    """Let GTSAM's errors of values that factors cannot use say so, and of a size which factor it is.
+    """Turn GTSAM's errors about values that factors cannot use into errors of input, with their keys.
 
     Parameters
     ----------
