@@ -217,6 +217,7 @@ class Residuals:
             rows = one.solved
             keys = np.stack((one.station, one.target, one.sensor))[:, rows]
             _, shot = np.unique(keys, axis=1, return_inverse=True)
+            shot = shot.reshape(-1)  # numpy 2.0 keeps the axes
             if one.single is not None:
                 by_itself = len(rows) + np.arange(len(rows))
                 shot = np.where(one.single[rows], by_itself, shot)
