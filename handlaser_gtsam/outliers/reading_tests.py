@@ -139,7 +139,7 @@ def snooped(
         except GrazingBeamError:
             break
         good = readings.subset(np.flatnonzero(kept))
-        if model.plausible_range_errors(parameters, good):
+        if not kept.all() and model.plausible_range_errors(parameters, good):
             by_rest = evidence(readings, kept, parameters, terms, sigma)
             if best is None or by_rest < best.evidence:
                 best = Screening(kept.copy(), parameters, sigma, by_rest)

@@ -76,7 +76,9 @@ def open_words(
     circles = tuple(_on_one_circle(rows, found.values)) if motion is None else ()
     turned = {p.name: p for p in parts if p.quantity == "turn" and p.axes.shape[1] == 1}
     on_line = _on_one_line(rows, found.values)
-    lines = {name: words for name, words in on_line.items() if name in turned}
+    numbers, unknowns = counts_of(rows)
+    enough = numbers >= unknowns
+    lines = {name: words for name, words in on_line.items() if enough and name in turned}
     if motion is None and len(circles) + len(lines) == null.shape[1]:
         why = (CURE_OF_A_CIRCLE, circles), (CURE_OF_A_LINE, lines)
         return (*circles, *lines.values()), tuple(cure for cure, said_of in why if said_of)
@@ -96,8 +98,6 @@ def open_words(
     errors = any(part.quantity == "range error" for part in parts)
     leans = motion is None or _leans(rows, found, motion, images)
     mount = SENSOR.name if rows.survey.shots else BEAM.name
-    numbers, unknowns = counts_of(rows)
-    enough = numbers >= unknowns
     moving, others = named(motion, parts, leans=leans, k1_free=errors, mount=mount, enough=enough)
     if not enough:
         return (*moving, *what), (MORE_STATIONS, *cures, *(others if motion is not None else ()))
