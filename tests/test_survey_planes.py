@@ -10,7 +10,7 @@ from benchmarks import rigs_by_rays, rigs_by_scene
 from benchmarks.rigs import FAR, errors_of, survey_of
 from handlaser_gtsam.estimation import survey as estimation
 from handlaser_gtsam.estimation.survey import (
-    _blames_relations,
+    _freed_of_false_relations,
     first_fit,
     first_state,
     state_of,
@@ -100,7 +100,7 @@ def test_a_false_angle_is_blamed_where_a_search_has_turned_a_plane_round(monkeyp
     known = hl.Known("angle", rows.targets["plane"], value=angle, sigma_angle=1e-4)
     planes[0, :4] *= -1.0
     fitted = replace(state, rows=replace(rows, known=(known,)))
-    free = _blames_relations(fitted, settled=False)
+    free = _freed_of_false_relations(fitted, settled=False)
     assert free
     assert first_fit(free).fits
     assert not first_fit(fitted).fits  # which the false relation draws away

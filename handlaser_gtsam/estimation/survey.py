@@ -266,10 +266,10 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
     settled = _settle_near(state)
     again, others = best_image(state, _settle_near)
     settled = settled if again is None else again
-    blamed = _blames_relations(state, settled) if not settled or _doubtful(state) else None
-    if blamed is not None:
+    free = _freed_of_false_relations(state, settled) if not settled or _doubtful(state) else None
+    if free is not None:
         settled = True
-        first = min(first, first_fit(blamed), key=lambda one: one.misfit)
+        first = min(first, first_fit(free), key=lambda one: one.misfit)
     for found_better in (_image_that_agrees, _settled_without_off_target):
         if found_better(state):
             settled = True
@@ -557,7 +557,7 @@ def _without_relations(state: SurveyState) -> Iterator[SurveyState]:
         yield begun
 
 
-def _blames_relations(state: SurveyState, settled: bool) -> SurveyState | None:
+def _freed_of_false_relations(state: SurveyState, settled: bool) -> SurveyState | None:
     """Let shots count that only a relation contradicts, and sizes be as they are without relations.
 
     Return where the readings lead without relations; None where the state stays as it is: a relation

@@ -204,9 +204,9 @@ def find_consensus(
     other = None if better is None else screen(readings, better, usable, sigma)
     if other is not None and other.evidence < screening.evidence:
         screening = other
-    if len(readings) <= CROWDED * count_unknowns(readings, usable) and not start.fits:
+    if not start.fits and len(readings) <= CROWDED * count_unknowns(readings, usable):
         other = snooped(readings, screening.parameters, usable, sigma)
-        if other is not None and judge.fits_well(other) and other.evidence < screening.evidence:
+        if other is not None and other.evidence < screening.evidence:
             screening = other
     # A choice among few readings makes any of them agree.
     sigma = sigma_of(readings, residuals(start.parameters, readings), usable, range_sigma)

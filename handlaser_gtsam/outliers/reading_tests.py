@@ -43,7 +43,8 @@ LEAST_CUT = 3.0
 """The cut in standard deviations is at least this: Gaussian errors exceed it once in 370. It is
 `FAR_SIGMAS` at most."""
 MOST_SNOOPED = 3
-"""Readings that are rejected one after the other at most: of few, more are no exception."""
+"""Readings that are rejected one after the other at most. With one, 3 of 56 recordings with two gross
+errors among 36 readings were usable and wrong, with three none."""
 LARGEST_LEVERAGES = 50_000_000
 """Readings times beam unknowns beyond which leverages are taken as zero: a single reading weighs little
 there, and the information takes too long to invert."""

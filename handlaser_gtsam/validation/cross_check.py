@@ -173,7 +173,7 @@ def cross_check(
 def _require_same(recording: Recording, held: Recording, fit: Fit) -> None:
     """Refuse a recording that is not the one which a calibration holds.
 
-    That was screened, with a range sigma that decides which readings of one pose are copies.
+    The held one is screened, with a range sigma that decides which readings of one pose are copies.
     """
     given = (recording.beam_names, recording.station_names, recording.plane_labels)
     alike = given == (held.beam_names, held.station_names, held.plane_labels)
