@@ -355,8 +355,8 @@ def state_of(rows: SurveyRows, noise: Noise) -> SurveyState:
         raise InputError("no shot with enough points on its target", "a few points a shot")
     stated, usual = _stated(rows, noise), usual_noise(rows, noise)
     own = usual.sigma
-    few = _inside(rows, rest=True)  # range errors are none at first
-    for squares, dof in (few, _inside(rows, single=True), _inside(rows)):
+    for single in (True, False):
+        squares, dof = _inside(rows, single=single)
         within = np.maximum(np.sqrt(squares / np.maximum(dof, 1.0)), FINEST)
         own = np.where(dof > 0.0, within, own)
     sigma = np.where(np.isnan(stated.sigma), own, stated.sigma)
@@ -613,19 +613,17 @@ def _names(rows: SurveyRows, item: Item) -> tuple[str, str]:
     return f"{item.family} {rows.label(item.mount)}", rows.label(item.target)
 
 
-def _inside(rows: SurveyRows, *, single: bool = False, rest: bool = False) -> Inside:
+def _inside(rows: SurveyRows, *, single: bool = False) -> Inside:
     """Return what shots tell of the noise inside them; beams and the aiming tell nothing.
 
     Rows of single readings say it themselves: shots of such readings count only if `single` is set, and
-    then no others do. If `rest` is set, range errors are taken as none, for shots of few points, whose
-    residuals they could explain.
+    then no others do.
     """
     squares, dof = np.zeros((2, len(set(rows.sources.values())) + 1))
     for member in range(len(rows.survey.shots)):
         shots = [i.shot for i in rows.items if i.family == SENSOR.name and i.member == member]
-        some = [s for s in shots if s is not None and s.single == single]
-        pairs = [(s.rest @ s.rest, len(s.rest)) if rest else (s.squares, s.dof) for s in some]
-        each = np.array([pair for pair in pairs if pair[1] > 0])
+        some = [s for s in shots if s is not None and s.dof > 0 and s.single == single]
+        each = np.array([(s.squares, s.dof) for s in some])
         if len(each):
             # A shot of something rough must not speak for the others: by the median of the shots.
             level = np.median(each[:, 0] / each[:, 1])
