@@ -91,7 +91,7 @@ def test_the_command_solves_a_survey_again(handlaser):
         "calibrate", FOLDER / "poses.csv", "--rig", FOLDER / "rig.toml", "--cross-check"
     )
     assert code == 0
-    assert "largest difference 7.6e-03 standard deviations (sphere:ball radius)" in " ".join(
+    assert "largest difference 3.1e-03 standard deviations (sphere:ball centre)" in " ".join(
         out.split()
     )
     with pytest.raises(hl.InputError, match="a recording beside"):

@@ -13,7 +13,7 @@ from ..model.relation import BODY, Relation, held
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
-from .dense import DenseRows, dense_rows, unknowns_of, with_pose_errors
+from .dense import DenseRows, dense_rows, unknowns_of, with_curved_errors, with_pose_errors
 from .estimate import BlockProblem, minimum
 from .joint_solution import STEPS_IN_VAIN
 from .survey_mirror import beams_stretch
@@ -73,9 +73,11 @@ class SurveyState:
         """Return `blocks_of` items, errors of the hand counted or not."""
         as_read = beams_stretch(self.rows)
         blocks, owner = blocks_of(items, self.sigmas(), self.values, as_read=as_read)
+        shared, own = self.pose_covariance(), self.own_covariance()
+        # It is not linear in the sizes of errors of the hand: these are learned with what it is now.
+        blocks = with_curved_errors(blocks, self.values, shared)
         if pose_errors:
-            errors = self.pose_covariance(), self.own_covariance()
-            blocks = with_pose_errors(blocks, self.values, *errors)
+            blocks = with_pose_errors(blocks, self.values, shared, own)
         return blocks, owner
 
     def chi2(self) -> float:

@@ -291,6 +291,7 @@ def _problem(found: SurveyEstimate) -> ReferenceProblem:
             sigmas[family, items[0].member]
             * np.repeat([item.growth for item in items], each) ** 0.5,
             half_angle=items[0].half_angle,
+            single=np.repeat([item.shot is None or item.shot.single for item in items], each),
         )
         if member >= 0:
             shots = survey.shots[member]

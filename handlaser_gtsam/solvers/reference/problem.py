@@ -3,13 +3,16 @@ r"""Least squares of any readings, relations and priors with SciPy.
 Derivatives are SciPy's differences. Covariances follow from Gauss-Markov, inv(J'J) of residuals in
 standard deviations. Errors of the hand are found by moving the poses: for the derivatives A of a
 station's residuals by them, in standard deviations, the weight is the inverse root of I + A A', by its
-singular values. Weights, the noise of the readings that the residuals show, and what a systematic error
-of size 1 does, are held while SciPy runs and then updated at its solution.
+singular values. What residuals on spheres are beyond the first order is taken at the most probable
+errors, and adds what it may be from there on to the noise of a shot. Weights, this, the noise of the
+readings that the residuals show, and what a systematic error of size 1 does, are held while SciPy runs
+and then updated at its solution.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -32,6 +35,8 @@ TOLERANCE = 1e-11
 FROM_BESIDE = 100
 """Evaluations after which SciPy begins again at the start, where it does not arrive from beside it: it
 takes about ten, unless rays miss their sphere there."""
+STEPS_TO_HAND = 8
+"""Of Gauss and Newton, to the most probable error of the hand at a station."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,6 +123,10 @@ class Residuals:
         self._pose = self._station
         if problem.stops is not None:
             self._station = problem.stops[self._pose]
+        kinds = [np.full(one.rows * len(one.solved), one.target_kind) for one in problem.observed]
+        self._on_sphere = np.concatenate(kinds) == "sphere"
+        self._curved = np.zeros(len(self._station))
+        self._shot = self._shots()
         self._weights: list[tuple[IntArray, FloatArray, FloatArray]] = []
         self._known = np.flatnonzero(np.isfinite(self.unknowns.sigma))
         self.weigh(self.unknowns.x0)
@@ -133,7 +142,7 @@ class Residuals:
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return all residuals at a vector of unknowns."""
         at = self.unknowns.at(x)
-        e = self._whitened(self._readings(at, *self._hands(at)))
+        e = self._whitened(self._curved + self._readings(at, *self._hands(at)))
         relations = [relation_residuals(*one, at) for one in self.problem.known]
         return np.concatenate((e, *relations, (x / self.unknowns.sigma)[self._known]))
 
@@ -144,6 +153,9 @@ class Residuals:
         self._counted = [one.counted(at, R, t, problem.errors) for one in problem.observed]
         if problem.pose is not None:
             A = by_poses(partial(self._readings, at), R, t)
+            rest = np.empty((len(A), 0))
+            if self._on_sphere.any():
+                self._curved, rest = self._beyond_first_order(at, R, t, A)
             order = np.argsort(self._station, kind="stable")
             stations, first = np.unique(self._station[order], return_index=True)
             self._weights = []
@@ -152,9 +164,11 @@ class Residuals:
                 if problem.own is not None:
                     for one in np.unique(pose):
                         parts.append(A[rows] @ _root(problem.own[one]) * (pose == one)[:, None])
+                for shot in np.unique(self._shot[rows]):
+                    parts.append(rest[rows] * (self._shot[rows] == shot)[:, None])
                 U, size, _ = np.linalg.svd(np.hstack(parts), full_matrices=False)
                 self._weights.append((rows, U, 1.0 - 1.0 / np.sqrt(1.0 + size**2)))
-        heavy = self._whitened(self._whitened(self._readings(at, R, t)))
+        heavy = self._whitened(self._whitened(self._curved + self._readings(at, R, t)))
         end = 0
         for i, one in enumerate(problem.observed):
             begin, end = end, end + one.rows * len(one.solved)
@@ -195,6 +209,67 @@ class Residuals:
         pairs = zip(self.problem.observed, self._counted, strict=True)
         aiming = self.problem.aiming_sigma
         return np.concatenate([one.residuals(at, R, t, how, aiming) for one, how in pairs])
+
+    def _shots(self) -> IntArray:
+        """Return numbers (N,) of what errors of the second order are common to."""
+        parts, count = [], 0
+        for one in self.problem.observed:
+            rows = one.solved
+            keys = np.stack((one.station, one.target, one.sensor))[:, rows]
+            _, shot = np.unique(keys, axis=1, return_inverse=True)
+            shot = shot.reshape(-1)  # numpy 2.0 keeps the axes
+            if one.single is not None:
+                by_itself = len(rows) + np.arange(len(rows))
+                shot = np.where(one.single[rows], by_itself, shot)
+            parts.append(np.tile(count + shot, one.rows))
+            count += 2 * len(rows)
+        return np.concatenate(parts)
+
+    def _beyond_first_order(
+        self, at: At, R: FloatArray, t: FloatArray, A: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return by how much residuals (N,) on spheres are not linear in the error of the hand.
+
+        It is taken at the most probable errors of the hand poses (M, 3, 3), (M, 3), unknowns as they
+        are; A (N, 6) are the derivatives of the residuals at the recorded poses. The mean of what is
+        curved from there on is added, and a root (N, 27) of its covariance returned.
+        """
+        problem, begun, curved = self.problem, self._readings(at, R, t), self._on_sphere
+        assert problem.pose is not None
+        stops = np.arange(len(R)) if problem.stops is None else problem.stops
+        x, root = np.zeros((len(R), 6)), np.stack([_root(C) for C in problem.pose])
+        C = np.zeros_like(root)
+
+        def moved(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+            turned = R @ Rotation.from_rotvec(x[stops, :3]).as_matrix()
+            return turned, t + np.einsum("mij,mj->mi", R, x[stops, 3:])
+
+        def beyond(x: FloatArray) -> FloatArray:
+            linear = np.einsum("ni,ni->n", A, x[self._station])
+            return np.where(curved, self._readings(at, *moved(x)) - begun - linear, 0.0)
+
+        for _ in range(STEPS_TO_HAND):
+            by_pose = A.copy()
+            by_pose[curved] = by_poses(partial(self._readings, at), *moved(x))[curved]
+            left = begun + beyond(x) + np.einsum("ni,ni->n", A - by_pose, x[self._station])
+            for station in np.unique(self._station[curved]):
+                rows, L = self._station == station, root[station]
+                whole = np.vstack((by_pose[rows] @ L, np.eye(6)))
+                z = np.linalg.lstsq(whole, -np.append(left[rows], np.zeros(6)), rcond=None)[0]
+                x[station], C[station] = L @ z, L @ _root(np.linalg.inv(whole.T @ whole))
+        middle, columns = beyond(x), []
+        steps = [C[..., k] for k in range(6)]
+        ahead, behind = ([beyond(x + sign * step) for step in steps] for sign in (1.0, -1.0))
+        second = [a + b - 2.0 * middle for a, b in zip(ahead, behind, strict=True)]
+        columns += [0.5 * (a - b) for a, b in zip(ahead, behind, strict=True)]
+        columns += [one / np.sqrt(2.0) for one in second]
+        for one, other in combinations(steps, 2):
+            with_, against = one + other, one - other
+            pairs = (
+                beyond(x + with_) + beyond(x - with_) - beyond(x + against) - beyond(x - against)
+            )
+            columns.append(0.25 * pairs)
+        return middle + 0.5 * np.sum(second, axis=0), np.stack(columns, axis=1)
 
     def _whitened(self, e: FloatArray) -> FloatArray:
         for rows, U, shrink in self._weights:

@@ -82,6 +82,8 @@ class Observed:
         Of a beam's range at 45 degrees of incidence, then [m].
     used : (n,) of bool, optional
         Which of the readings are solved; systematic errors are defined by all.
+    single : (n,) of bool, optional
+        Readings of a shot that errors of the hand of the second order move independently.
     """
 
     target_kind: str
@@ -97,6 +99,7 @@ class Observed:
     of_reading: bool = False
     incidence_sigma: float = 0.0
     used: BoolArray | None = None
+    single: BoolArray | None = None
 
     @cached_property
     def solved(self) -> IntArray:
