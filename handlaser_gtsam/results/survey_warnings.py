@@ -97,10 +97,9 @@ def survey_warnings(
     causes += tuple(implausible(found.rows, found.estimate.values))
     causes += tuple(mislabelled(found.ended(), found.estimate))
     unread = tuple(unread_stations(found.rows))
+    false = any(one.contradicted for one in found.tests)
     moved: tuple[CalibrationWarning, ...] = ()
-    if found.estimate.status == "converged" or not (
-        causes or any(one.contradicted for one in found.tests)
-    ):
+    if found.estimate.status == "converged" or not (causes or false):
         moved = tuple(_displaced(found, [*sensors.values(), *beams.values()]))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes or moved, found.given)
@@ -121,13 +120,8 @@ def survey_warnings(
         yield from misspelt(found.ended(), found.estimate)
         if len(beams) > 1:
             yield from _rough_beam(found)
-        usual, stated = usual_noise(found.rows, found.given).pose, found.stated.pose
-        of_hand = zip((ROTATION, TRANSLATION), found.noise.pose, usual, stated, strict=True)
-        yield from large_pose_errors(
-            NoiseComponent(name, sigma, np.nan, expected)
-            for name, sigma, expected, known in of_hand
-            if np.isnan(known)
-        )
+        if not false:  # which looks like errors of the hand
+            yield from large_pose_errors(_learned_of_hand(found))
     yield from _too_few(found)
     yield from _few(found)
     yield from _rivals(found, beams)
@@ -151,6 +145,15 @@ def survey_warnings(
     if found.by_pose is not None:
         yield from warnings_of(found.by_pose.sizes)
     yield from found.rows.survey.warnings
+
+
+def _learned_of_hand(found: SurveyEstimate) -> Iterator[NoiseComponent]:
+    """Yield what was learned of the errors of the hand."""
+    usual, stated = usual_noise(found.rows, found.given).pose, found.stated.pose
+    of_hand = zip((ROTATION, TRANSLATION), found.noise.pose, usual, stated, strict=True)
+    for name, sigma, expected, known in of_hand:
+        if np.isnan(known):
+            yield NoiseComponent(name, sigma, np.nan, expected)
 
 
 def _rough_beam(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
