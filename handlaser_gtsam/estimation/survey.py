@@ -458,9 +458,12 @@ def _begun_without_relations(state: SurveyState) -> SurveyState | None:
 
     Its rows have the relations, for those who test them; the state itself is free of them.
     """
-    rows, every = state.rows, np.ones(len(state.used), dtype=bool)
-    free = replace(state, rows=replace(rows, known=()), used=every, tied=False)
-    if not (state.relations and begin_quickly(free) and _surely_fits(free)):
+    if not state.relations:
+        return None
+    rows = state.rows
+    # Sizes that were learned are of what the relations do to the fit.
+    free = replace(state_of(replace(rows, known=()), state.noise), tied=False)
+    if not (begin_quickly(free) and _surely_fits(free)):
         return None
     complete_bodies(rows, free.values)
     free.rows = replace(free.rows, known=rows.known)
