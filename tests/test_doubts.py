@@ -104,6 +104,17 @@ def test_beams_that_hit_a_plane_from_its_two_sides_are_named(sides):
     assert f"{words} from its two sides, which no plate allows" in warning.message
 
 
+@pytest.mark.parametrize("noise", [hl.Noise(SIGMA, 0.0, 0.0), hl.Noise()])
+def test_few_readings_more_than_unknowns_are_warned_of(noise):
+    """A gross error of one may pass for a range error, and the noise is hardly determined."""
+    few, enough = (simulated("paper", Layout(1, 2, stations))[0] for stations in (8, 14))
+    warning = hl.calibrate(few, noise, NONE).warnings[0]
+    assert warning.code == "few-readings"
+    assert warning.values["redundancy"] == 16 - 11
+    assert ("gross error" in warning.message) == (noise.range_sigma is not None)
+    assert "few-readings" not in codes(hl.calibrate(enough, noise, NONE))
+
+
 def of_a_robot(errors, seed=3):
     """Return a recording of a robot that errs, before seven planes."""
     rng = np.random.default_rng(seed)

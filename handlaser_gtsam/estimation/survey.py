@@ -401,6 +401,7 @@ def first_state(
     if without:
         names = ", ".join(f"{entity[0]} {rows.label(entity)}" for entity in without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
+    start = replace(state)
     leave_out_gross(state)
     rough = _roughened(state)
     if rough is not None and np.median(rough.misfits()) <= GROSS:
@@ -411,15 +412,15 @@ def first_state(
     if free is not None and _some_relation_is_contradicted(replace(free, tied=True)):
         state.take(free)
         return state
-    starts, ahead = [state], with_planes_ahead(rows)
+    starts, ahead = [start], with_planes_ahead(rows)
     if ahead is not None:
         other = state_of(ahead, noise)
         other.values, without = start_of(ahead, other.sigmas())
         if not without:
+            starts = [replace(other), start]
             leave_out_gross(other)
             if np.median(other.misfits()) <= GROSS:
                 return other
-            starts = [other, state]
     for begun in starts:
         if started_from_halves(begun):
             leave_out_gross(begun)
@@ -735,7 +736,7 @@ def _hidden_left_out(state: SurveyState) -> bool:
     """
     if not state.learning or state.used.mean() <= 1.0 - MOST_LEFT_OUT:
         return False
-    p, chi2, tested = agreement(state)
+    p, chi2, tested, _ = agreement(state)
     worst = tested[most_contradicted(p, chi2)]
     _, owner = state.dense()
     rows, stops = int((owner == worst).sum()), len(np.unique(state.stops(owner[owner >= 0])))
@@ -749,7 +750,7 @@ def _hidden_left_out(state: SurveyState) -> bool:
         columns[own, np.arange(len(own))] = 1.0
         return columns
 
-    _, chi2, _ = agreement(replace(state, sizes=learned_sizes(state, alone)))
+    _, chi2, *_ = agreement(replace(state, sizes=learned_sizes(state, alone)))
     far = float(chi2[tested == worst].sum()) / rows
     if f_sf(far, rows, stops - rows - 1) >= FAMILY_LEVEL / len(tested):
         return False

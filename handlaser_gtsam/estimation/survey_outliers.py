@@ -59,13 +59,16 @@ def leave_out_gross(state: SurveyState) -> None:
     planes: Planes = {}
     for turn in range(MOST_ROUNDS):
         # What is gross shows long before a minimum, to which a search with gross shots may creep.
+        lost = np.zeros(len(state.used), dtype=bool)
         if not state.minimize(STEPS_IN_VAIN):
-            return
+            lost = state.impossible()
+            if not (lost & state.used).any():
+                return
         if turn < MOST_ROUNDS // 2 and other_planes_taken(state, GROSS, planes):
             continue
         different = numbers_of(state.rows)
         target = np.array([different[item.target] for item in state.rows.items])
-        misfit = state.misfits()
+        misfit = np.where(lost, np.inf, state.misfits())
         typical = float(np.median(misfit))
         kept = misfit <= GROSS * max(typical, 1.0)
         if kept.all() and typical > GROSS:
@@ -170,7 +173,7 @@ def without_off_target(state: SurveyState) -> SurveyState | None:
 
 def worst_changed(state: SurveyState) -> bool:
     """Leave out the shot that the others contradict most, or take one back; tell whether any was."""
-    p, chi2, tested = agreement(state)
+    p, chi2, tested, _ = agreement(state)
     worst = most_contradicted(p, chi2)
     if p[worst] < FAMILY_LEVEL / len(p) and state.used.mean() > 1.0 - MOST_LEFT_OUT:
         state.used = state.used & (np.arange(len(state.used)) != tested[worst])
@@ -178,17 +181,19 @@ def worst_changed(state: SurveyState) -> bool:
     misfit = np.where(state.used | grazing(state.rows), np.inf, state.misfits())
     for best in np.argsort(misfit)[: np.isfinite(misfit).sum()]:
         # How far it may be off depends on how well the others predict it: one that agrees counts again.
+        # One whose rays graze their plane, as of a wrong label, would decide where the plane is.
         trial = replace(state, used=state.used | (np.arange(len(state.used)) == best))
-        p, _, tested = agreement(trial)
-        if p[tested == best] >= FAMILY_LEVEL:
+        p, _, tested, whole = agreement(trial)
+        if (whole & (p >= FAMILY_LEVEL))[tested == best]:
             state.used = trial.used
             return True
     return False
 
 
-def agreement(state: SurveyState) -> tuple[FloatArray, FloatArray, IntArray]:
+def agreement(state: SurveyState) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
     """Return how the shots that count agree with all others: p, chi2 and the number of each item.
 
+    Last of all, whether the others say something of all its rows.
     Where sizes of the noise are learned from few readings, a shot that is far in units of them need not
     be wrong: the ratio to what the others say of the noise follows an F distribution.
     """
@@ -200,7 +205,7 @@ def agreement(state: SurveyState) -> tuple[FloatArray, FloatArray, IntArray]:
     p = chi2_sf(chi2, some)
     if state.learning:
         p = f_sf(chi2 / some, some, max(redundancy, 1))
-    return np.where(dof > 0, p, 1.0), chi2, tested
+    return np.where(dof > 0, p, 1.0), chi2, tested, dof == np.bincount(group[group >= 0])
 
 
 def most_contradicted(p: FloatArray, chi2: FloatArray) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.noise import Noise
 from ..data.survey import Known
-from ..model.block import Block
+from ..model.block import Block, impossible_rows
 from ..model.relation import BODY, Relation, held
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
@@ -91,6 +91,14 @@ class SurveyState:
         square = dense_rows(blocks, self.values, unknowns_of({}, {})).whitened()[1] ** 2
         total, count = (np.bincount(owner, x, len(self.used)) for x in (square, square > 0.0))
         return np.asarray(np.sqrt(total / np.maximum(count, 1.0)))
+
+    def impossible(self) -> BoolArray:
+        """Tell which items have a ray along their plane, beside which there is no minimum."""
+        blocks, owner = self._blocks(self.rows.items, pose_errors=False)
+        each = [impossible_rows(block.evaluate(self.values), block).ravel() for block in blocks]
+        found = np.zeros(len(self.used), dtype=bool)
+        found[owner[np.concatenate(each)]] = True
+        return found
 
     def take(self, other: "SurveyState") -> None:
         """Go to where another state of the same survey stands."""

@@ -184,7 +184,10 @@ def _displacement_in(state: SurveyState, *, fits: bool) -> tuple[Entity, int, Tr
         if chi2_sf(one.chi2, max(one.rank, 1)) < FAMILY_LEVEL:
             free = try_free(state, partial(_since, entity, station))
             p = min(free.p_value * looked_for, 1.0)
-            if p < FAMILY_LEVEL:
+            # To first order rays that graze a wrong plane move a mount by any size.
+            of_mount = entity[0] not in (PLANE.name, SPHERE.name)
+            near = not of_mount or np.linalg.norm(free.size) < state.rows.length
+            if p < FAMILY_LEVEL and near:
                 moves.append((entity, station, replace(free, p_value=p)))
     if not moves:
         return None

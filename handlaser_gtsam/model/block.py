@@ -161,13 +161,17 @@ def whitened(rows: Rows, weights: Weights) -> FloatArray:
     return rows.columns if weights.root is None else rows.columns * weights.root
 
 
+def impossible_rows(rows: Rows, block: Block) -> BoolArray:
+    """Tell which rows (K, G, S) are impossible and weigh anything."""
+    if rows.impossible is None:
+        return np.zeros(rows.columns.shape[1:], dtype=bool)
+    root = block.weights.root
+    return rows.impossible if root is None else rows.impossible & (root > 0.0)
+
+
 def impossible(rows: Rows, block: Block) -> BoolArray:
     """Tell which problems (K,) have an impossible row that weighs anything."""
-    if rows.impossible is None:
-        return np.zeros(rows.columns.shape[1], dtype=bool)
-    root = block.weights.root
-    lost = rows.impossible if root is None else rows.impossible & (root > 0.0)
-    return np.asarray(lost.any(axis=(1, 2)))
+    return np.asarray(impossible_rows(rows, block).any(axis=(1, 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

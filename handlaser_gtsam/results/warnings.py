@@ -187,10 +187,11 @@ def fit_warnings(
     yield from large_pose_errors(solution.scales)
     yield from far_reading(fit)
     redundancy = solution.redundancy
-    if not fit.range_sigma_given and redundancy < FEW_DEGREES:
+    if redundancy < FEW_DEGREES:
         some = f"only {count(redundancy, 'reading')} more than"
         more = some if redundancy > 0 else "no more readings than"
-        yield warned("few-readings", {"redundancy": redundancy}, more=more)
+        given = ":given" if fit.range_sigma_given else ""
+        yield warned(f"few-readings{given}", {"redundancy": redundancy}, more=more)
 
 
 def far_reading(fit: Fit) -> Iterator[CalibrationWarning]:
