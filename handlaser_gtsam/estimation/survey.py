@@ -371,10 +371,10 @@ def first_state(
 ) -> SurveyState:
     """Return where an estimate begins, near what most shots agree with, before noise is learned.
 
-    Where shots do not surely fit the start of a quick search, a thorough one follows. Where most do not
-    fit that either, shots that see several planes may begin with wrong ones, and wrong labels pull a
-    start of all to where none fits well: planes in the middle of the view are tried, then halves of the
-    shots. No start is sought where most agree beside an `earlier` estimate of the same sensors. Beams
+    Where shots do not surely fit the start of a quick search, by their largest planes or by those in the
+    middle of the view, a thorough one follows. Where most do not fit that either, shots that see
+    several planes may begin with wrong ones, and wrong labels pull a start of all to where none fits
+    well: planes in the middle of the view are tried, then halves of the shots. No start is sought where most agree beside an `earlier` estimate of the same sensors. Beams
     that do not see the balls of a sensor of many rays may keep all from fitting: without their readings
     there, a quick search tells it.
 
@@ -391,9 +391,12 @@ def first_state(
             leave_out_gross(beside)
             if beside.minimize() and np.median(beside.misfits()) <= GROSS:
                 return beside
-    quick = replace(state)
-    if all_redundant(rows) and begin_quickly(quick, GROSS) and _surely_fits(quick):
-        return quick
+    ahead = with_planes_ahead(rows)
+    for some, most in ((rows, GROSS), (ahead, np.inf)):
+        if some is not None and all_redundant(some):
+            quick = state_of(some, noise)
+            if begin_quickly(quick, most) and _surely_fits(quick):
+                return quick
     seen = _begun_off_balls(state)
     if seen is not None:
         return seen
@@ -412,7 +415,7 @@ def first_state(
     if free is not None and _some_relation_is_contradicted(replace(free, tied=True)):
         state.take(free)
         return state
-    starts, ahead = [start], with_planes_ahead(rows)
+    starts = [start]
     if ahead is not None:
         other = state_of(ahead, noise)
         other.values, without = start_of(ahead, other.sigmas())
