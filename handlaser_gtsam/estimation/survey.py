@@ -371,12 +371,13 @@ def first_state(
 ) -> SurveyState:
     """Return where an estimate begins, near what most shots agree with, before noise is learned.
 
-    Where shots do not surely fit the start of a quick search, by their largest planes or by those in the
-    middle of the view, a thorough one follows. Where most do not fit that either, shots that see
+    Where shots do not surely fit the start of a quick search, by their largest planes or by those in
+    the middle of the view, a thorough one follows. Where most do not fit that either, shots that see
     several planes may begin with wrong ones, and wrong labels pull a start of all to where none fits
-    well: planes in the middle of the view are tried, then halves of the shots. No start is sought where most agree beside an `earlier` estimate of the same sensors. Beams
-    that do not see the balls of a sensor of many rays may keep all from fitting: without their readings
-    there, a quick search tells it.
+    well: planes in the middle of the view are tried, then halves of the shots. No start is sought where
+    most agree beside an `earlier` estimate of the same sensors. Beams that do not see the balls of a
+    sensor of many rays may keep all from fitting: without their readings there, a quick search tells
+    it.
 
     Raises
     ------
