@@ -159,7 +159,8 @@ def _accused(
     # and the same times a number that tells whose shot belongs to a pose.
     carried = np.column_stack((np.ones(count), 1.0 + np.arange(count) / count))
     carrier = stations.recording(carried)
-    now = measure(carrier, "glance") if variance else np.inf
+    # As they are stated, poses need no reason: along what a motion leaves open a start may be far.
+    now = _misfit(rows, 1.0, as_stated=True) / variance if variance else np.inf
     if now <= FITS:
         return ()
 
@@ -269,15 +270,18 @@ def _part(survey: Survey, one: Shots) -> SurveyRows:
     return rows_of(Survey(survey.stations, (one.part(some),)))
 
 
-def _misfit(rows: SurveyRows, scale: float) -> float:
+def _misfit(rows: SurveyRows, scale: float, *, as_stated: bool = False) -> float:
     """Return the squared residual below which `GOOD` of the readings are, as if it were Gaussian [m^2].
 
-    It is infinite without a start, or where the sensor lies farther from the hand than `FAR_BEAM`, in
-    lengths that are multiplied by `scale`.
+    It is infinite without a start, or, unless rows are `as_stated`, where the sensor lies farther from
+    the hand than `FAR_BEAM`, in lengths that are multiplied by `scale`.
     """
     sigmas: Mapping[tuple[str, int], float] = {(SENSOR.name, 0): UNIT_SIGMA}
-    values, without = start_of(rows, sigmas, last_resort=False)
-    if without or scale * np.linalg.norm(pose_of(values[SENSOR.name][0, 0])[1]) > FAR_BEAM:
+    values, without = start_of(rows, sigmas, last_resort=as_stated)
+    if without:
+        return np.inf
+    far = scale * np.linalg.norm(pose_of(values[SENSOR.name][0, 0])[1]) > FAR_BEAM
+    if far and not as_stated:
         return np.inf
     blocks, _ = blocks_of(rows.items, sigmas, values)
     e = [block.ranges.evaluate(values).columns[-1] for block in blocks if isinstance(block, Mixed)]
