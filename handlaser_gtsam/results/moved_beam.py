@@ -1,4 +1,4 @@
-r"""A beam that was moved amid a recording: its mount is another one from some station on.
+r"""A beam, or the tool with all beams, that was moved amid a recording, from some station on.
 
 With e the residuals and A the derivatives by the mount of a beam in the rows from that station on, both
 without what all other unknowns explain and weighed by the noise, a move makes chi2 fall by
@@ -33,7 +33,7 @@ from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, MOUNT_DIM, OF_DIRECTION
 from ..model.joint import beam_lifts
 from ..model.weighting import Variances, whitening
-from ..quantities import MANY_OUTLIERS, MOST_ROUNDS, NEGLIGIBLE, TINY
+from ..quantities import MANY_OUTLIERS, MOST_ROUNDS, NEGLIGIBLE, NUMBERS_AT_ONCE, TEN_TIMES, TINY
 from ..solvers.beam_problem import beam_problem
 from .calibration_data import Beam, Fit
 from .dependence import dependence
@@ -45,13 +45,22 @@ from .systematic import SystematicError
 from .warnings import DISPLACED
 
 
+PLATE, TOOL = -1, -2
+"""In place of the number of a beam."""
+
+
+ROUGH = 3.0
+"""Noise that was learned as more than so many times what is usual may stand for a tool that was moved:
+arms err by up to this."""
+
+
 class Suspect(NamedTuple):
     """Rows whose derivatives by some unknowns count from a station on.
 
     Attributes
     ----------
     beam : int
-        Which beam would have moved; -1 of a plate or of the tool frame.
+        Which beam would have moved; `PLATE` of a plate, `TOOL` of the tool frame.
     rows : (n,)
         Of the readings that it concerns.
     J : (n, c)
@@ -119,7 +128,7 @@ def moved_beam(
     found: Sequence[SystematicError],
     beams: Mapping[str, Beam],
 ) -> CalibrationWarning | None:
-    """Warn of the beam that was moved amid the recording; None where none clearly was.
+    """Warn of the beam, or the tool, that was moved amid the recording; None where none clearly was.
 
     Parameters
     ----------
@@ -133,23 +142,26 @@ def moved_beam(
     beams : mapping of str to Beam
     """
     move, out = None, selection.outliers()
+    rough = any(one.sigma > ROUGH * one.usual for one in selection.solution.scales)
     if out.any() and not rows.freed.codes:
         with suppress(GrazingBeamError):
             readings = problem.chosen(selection.used | out)
             how = whitening(rows.at, readings, _variances(selection.solution, readings.beams))
             position = problem.order.stations[readings.station]
             every = LinearRows(rows.at, readings, how, rows.prior, position, rows.channel)
-            move = _likely_move(every, fit.dof + int(out.sum()), fit.range_sigma_given)
+            move = _likely_move(every, fit.dof + int(out.sum()), fit.range_sigma_given, rough)
             if move is not None and _rather_gross(move, every, selection):
                 move = None
     if move is None:
-        move = _likely_move(rows, fit.dof, fit.range_sigma_given)
+        move = _likely_move(rows, fit.dof, fit.range_sigma_given, rough)
         clearest = max(((one.size / one.sigma) ** 2 for one in found if one.found), default=0.0)
         if move is not None and move.criterion > _criterion(
             clearest / (clearest + max(fit.dof - 1, 1)), fit.dof, 1
         ):
             move = None
-    if move is None or move.one.beam < 0:
+    if move is not None and move.one.beam == TOOL:
+        return _moved_tool(move, rows, problem, fit, beams)
+    if move is None or move.one.beam == PLATE:
         return None
     beam = beams[problem.names.sorted_beams()[move.one.beam]]
     if beam.covariance is None:
@@ -167,6 +179,41 @@ def moved_beam(
         "times": shift / radius(J @ beam.covariance @ J.T),
     }
     return warned(f"{DISPLACED}:beam", values, likely=p_words(move.p_value, 1))
+
+
+def _moved_tool(
+    move: Move, rows: LinearRows, problem: Problem, fit: Fit, beams: Mapping[str, Beam]
+) -> CalibrationWarning | None:
+    """Warn of a tool that was moved by far more than the hand errs; None of less.
+
+    Errors of an arm that change with its pose are others before each plate, too.
+    """
+    turn, shift = move.size[:3], move.size[3:]
+    noise = problem.noise
+    stated = noise.pose_rotation_sigma, noise.pose_translation_sigma
+    usual = noise.pose_rotation_prior, noise.pose_translation_prior
+    limits = (b if a is None else a for a, b in zip(stated, usual, strict=True))
+    sizes = np.linalg.norm(turn), np.linalg.norm(shift)
+    if not any(size > TEN_TIMES * one for size, one in zip(sizes, limits, strict=True)):
+        return None
+    shifts, times = [], []
+    for number, name in enumerate(problem.names.sorted_beams()):
+        r, v = rows.at.locations[number], rows.at.directions[number]
+        shifts.append(float(np.linalg.norm(shift + np.cross(turn, r + fit.median_reading * v))))
+        if beams[name].covariance is not None:
+            _, J = spot_of(beams[name].coordinates, fit.median_reading)
+            times.append(shifts[-1] / radius(J @ beams[name].covariance @ J.T))
+    if not times:
+        return None
+    values: dict[str, float | str] = {
+        "target": "the tool",
+        "station": problem.recording.station_names[move.position],
+        "shift": max(shifts),
+        "turn_deg": float(np.degrees(sizes[0])),
+        "p": move.p_value,
+        "times": max(times),
+    }
+    return warned(f"{DISPLACED}:tool", values, likely=p_words(move.p_value, 1))
 
 
 def _variances(solution: Solution, beams: int) -> Variances:
@@ -214,10 +261,11 @@ def _apart(move: Move, every: LinearRows, solution: Solution) -> float:
     return 2.0 * float(search(problem, block.begun([at]), solver).cost[0])
 
 
-def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
+def _likely_move(rows: LinearRows, dof: int, known: bool, rough: bool) -> Move | None:
     """Return the move that explains most of the residuals; None where a beam hardly has moved.
 
-    `known` tells whether the size of the noise was given.
+    `known` tells whether the size of the noise was given, `rough` whether it was learned as far larger
+    than is usual.
     """
     heavy = rows.how.weighed(rows.residual[:, None])[:, 0]
     weight, total = rows.how.squares(), float(rows.residual @ heavy)
@@ -227,15 +275,18 @@ def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
     own = [np.flatnonzero(rows.readings.beam == beam) for beam in range(beams)]
     suspects = [Suspect(beam, at, rows.J[at, :MOUNT_DIM]) for beam, at in enumerate(own)]
     alone = partial(_falls_alone, rows, heavy, weight)
+    tool = [Suspect(TOOL, everything, rows.linear.pose)] * (
+        beams > 1
+    )  # of a single one it is the same
     falls = list(map(alone, suspects))
     # Alone it explains no more than with the others: most good recordings, whose best of all tests is
     # what chance makes of their number, end here.
     tests, most = sum(tried for _, _, tried in falls), max(fall for fall, _, _ in falls)
-    if not tests or chi2_sf(MOUNT_DIM * most * dof / total, MOUNT_DIM) * tests > 1.0:
+    if not tests:
         return None
-    others = list(_planes(rows, everything))
-    if beams > 1:  # of a single beam the tool frame is the same
-        others.append(Suspect(-1, everything, rows.linear.pose))
+    if not rough and chi2_sf(MOUNT_DIM * most * dof / total, MOUNT_DIM) * tests > 1.0:
+        return None
+    others = [*_planes(rows, everything), *tool]
     suspects, falls = [*suspects, *others], [*falls, *map(alone, others)]
     tests = sum(tried for _, _, tried in falls)
     projection = Projection(rows, rows.prior)
@@ -247,8 +298,14 @@ def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
     # The others explain less even without other unknowns.
     first = sorted(range(len(falls)), key=lambda number: -falls[number][0])[:4]
     moves = [tried(suspects[i], falls[i][1]) for i in first if falls[i][2]]
+    # Planes follow a tool that was moved: it shows beside them, and from the right station on only.
+    for one in tool * rough:
+        splits = _splits(rows.position, one)
+        many = max(NUMBERS_AT_ONCE // one.J.size, MOST_SPLITS)
+        moves += [tried(one, split) for split in splits[evenly(len(splits), many)].tolist()]
     if not min(moves, key=lambda move: move.criterion).clear:
         return None
+    moves = sorted(moves, key=lambda move: move.criterion)[:4]
     moves = [_narrowed(move, rows, tried) for move in moves]
     best = min(moves, key=lambda move: move.criterion)
     # Or the beam reads something else than one of the planes, wherever and whenever it is measured.
@@ -270,7 +327,7 @@ def _planes(rows: LinearRows, own: IntArray) -> Iterator[Suspect]:
     """Yield the planes of some readings, as if these alone saw another one there."""
     for plane in np.unique(rows.readings.plane[own]).tolist():
         there = own[rows.readings.plane[own] == plane]
-        yield Suspect(-1, there, rows.J[there, BEAM.dim :])
+        yield Suspect(PLATE, there, rows.J[there, BEAM.dim :])
 
 
 def _splits(position: IntArray, one: Suspect) -> IntArray:
