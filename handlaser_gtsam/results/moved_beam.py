@@ -44,7 +44,6 @@ from .spots import radius, spot_of
 from .systematic import SystematicError
 from .warnings import DISPLACED
 
-
 PLATE, TOOL = -1, -2
 """In place of the number of a beam."""
 
