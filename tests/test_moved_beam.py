@@ -132,6 +132,32 @@ def test_a_plate_or_a_tool_frame_that_was_moved_is_no_beam():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", [5, 6, 7])
+@pytest.mark.parametrize("length", [0.02, 0.06])
+def test_a_tool_frame_that_changed_between_plates_is_named(seed, length):
+    """Plates follow it all but its tilt, and errors of the hand became large enough for the rest."""
+    good = recorded(seed)
+    order = np.argsort(good.plane_labels, kind="stable")
+    late = np.arange(len(order)) >= 14
+    t = good.world_t_hand[order] + late[:, None] * length * good.world_R_hand[order][:, :, 2]
+    changed = replace(
+        good,
+        world_R_hand=good.world_R_hand[order],
+        world_t_hand=t,
+        ranges=good.ranges[order],
+        plane_labels=tuple(good.plane_labels[i] for i in order),
+        station_names=(),
+    )
+    found = hl.calibrate(changed)
+    (warning,) = (one for one in found.warnings if one.code == DISPLACED)
+    assert "tool frame" in warning.message
+    assert warning.values["station"] == "15"
+    assert warning.values["shift"] == pytest.approx(length, rel=0.2)
+    assert found.verdict.code == "systematic-error"
+    assert "the tool was moved" in found.verdict.sentence
+
+
+@pytest.mark.slow
 def test_a_beam_that_reads_something_else_than_one_plate_is_not_moved():
     """Its readings there are rejected, and the rest is as it was."""
     whole = recorded(6)

@@ -49,7 +49,7 @@ PLATE, TOOL = -1, -2
 
 
 ROUGH = 3.0
-"""Noise that was learned as more than so many times what is usual may stand for a tool that was moved:
+"""Noise that was learned as more than this many times what is usual may stand for a tool that was moved:
 arms err by up to this."""
 
 
@@ -142,6 +142,7 @@ def moved_beam(
     """
     move, out = None, selection.outliers()
     rough = any(one.sigma > ROUGH * one.usual for one in selection.solution.scales)
+    rough = rough or int(out.sum()) > MANY_OUTLIERS * (fit.readings + fit.outliers)
     if out.any() and not rows.freed.codes:
         with suppress(GrazingBeamError):
             readings = problem.chosen(selection.used | out)
@@ -264,7 +265,7 @@ def _likely_move(rows: LinearRows, dof: int, known: bool, rough: bool) -> Move |
     """Return the move that explains most of the residuals; None where a beam hardly has moved.
 
     `known` tells whether the size of the noise was given, `rough` whether it was learned as far larger
-    than is usual.
+    than is usual, or many readings were rejected: then a tool is looked for from every station on.
     """
     heavy = rows.how.weighed(rows.residual[:, None])[:, 0]
     weight, total = rows.how.squares(), float(rows.residual @ heavy)
