@@ -28,8 +28,9 @@ from .families import DIRECTION, LOCATION, MOUNT_DIM, PLANE
 
 LEAST_FACTOR = 0.5
 """A true range below this part of its reading belongs to a wrong solution, not to a sensor."""
-MOST_FACTOR = 3.0
-"""A true range above this many times its reading belongs to a wrong solution, not to a sensor."""
+MOST_FACTOR = 2.0
+"""A true range above this many times its reading belongs to a wrong solution, not to a sensor: inches
+among centimetres are 2.54 times as long."""
 GRAZING_LIMIT = 1e-3
 """Smallest |cos(incidence)| at which a range is predicted (89.94 degrees)."""
 

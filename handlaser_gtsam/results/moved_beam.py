@@ -49,7 +49,7 @@ PLATE, TOOL = -1, -2
 
 
 ROUGH = 3.0
-"""Noise that was learned as more than this many times what is usual may stand for a tool that was moved:
+"""Noise learned as more than this many times what is usual may stand for a tool that was moved:
 arms err by up to this."""
 
 

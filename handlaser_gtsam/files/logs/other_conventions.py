@@ -60,6 +60,8 @@ MOST_STATIONS = 60
 """Stations that are looked at; more take longer than reading the log."""
 CURE = "that to be stated or corrected, or --as-stated if it is right"
 """What to do about a log that fits better in another way."""
+CENTIMETRE = 0.01
+"""In metres. No controller writes it, and no option states it, but people do."""
 GOOD = 0.7
 """The part of the readings that must be good."""
 
@@ -220,6 +222,9 @@ def alternatives(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Re
     if given.inverted:
         words = "the poses are not inverted: without --inverted"
     yield Rereading(words, partial(under, convention, not given.inverted), "glance")
+    words = "the positions are in centimetres: write them in millimetres or metres"
+    centimetres = partial(scaled, positions=CENTIMETRE / LENGTHS[convention.units])
+    yield Rereading(words, centimetres, "glance")
 
     seen = {convention.meaning}
     for rotation in dict.fromkeys(one.rotation for one in FORMATS.values()):
