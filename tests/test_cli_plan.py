@@ -179,7 +179,7 @@ def test_an_input_is_not_replaced(refusal, rig):
     ("text", "words"),
     [
         ("[workspace]\nbox_mm = [[0, 0, 0]]\n", "workspace.box_mm"),
-        ("[workspace]\nbox_mm = [[0, 0, 0], [1, 1, 0]]\n", "low below high"),
+        ("[workspace]\nbox_mm = [[0, 0, 0], [1, 1, -1]]\n", "low at most high"),
         (f"{BOX}home_quaternion = [0, 0, 0, 2]\n", "home_quaternion"),
         (f"{BOX}largest_turn_deg = 1\n", "TOML"),
         ("[goal]\ncriterion = 'B'\n", "goal.criterion"),

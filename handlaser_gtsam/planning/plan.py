@@ -341,12 +341,17 @@ def _chosen(task: Task, stations: int, rng: np.random.Generator) -> Plan:
         except (GrazingBeamError, InputError):  # so wide a posterior has draws that read nothing
             continue
     rows = np.stack(each)
-    aim = task.aim
+    aim, count = task.aim, stations
     if goal.stated:  # how many are enough, before these are chosen with more care
         quick = aim.chosen(rows[:1], stations)
-        stations = aim.enough(rows[0, quick])
-    chosen = aim.chosen(rows, stations, exchange=True)
-    best = _refined(task, pool[chosen], rng)
+        count = aim.enough(rows[0, quick])
+    while True:
+        chosen = aim.chosen(rows, count, exchange=True)
+        best = _refined(task, pool[chosen], rng)
+        forecast = aim.forecast(station_rows(belief, best))
+        if count == stations or forecast.reaches(goal) is not None:
+            break
+        count += 1  # those that serve other mounts as well say less at the most probable ones
     best = best[np.arange(aim.enough(station_rows(belief, best)))]
     return task.planned(best, without(pool, chosen))
 

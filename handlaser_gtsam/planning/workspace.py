@@ -57,8 +57,8 @@ class Workspace(Value):
     def __post_init__(self) -> None:
         for name in ("low", "high"):
             object.__setattr__(self, name, vectors(name, getattr(self, name), 1)[0])
-        if not (self.low < self.high).all():
-            raise InputError(f"a workspace from {self.low} to {self.high} m", "low below high")
+        if not (self.low <= self.high).all():
+            raise InputError(f"a workspace from {self.low} to {self.high} m", "low at most high")
         object.__setattr__(self, "home", rotation_matrix("home", self.home))
         require_number("largest_turn", self.largest_turn, 0.0, math.pi, above=True, unit="rad")
         if self.largest_step != math.inf:  # which says that there is no limit
