@@ -200,9 +200,10 @@ def _moved_tool(
     for number, name in enumerate(problem.names.sorted_beams()):
         r, v = rows.at.locations[number], rows.at.directions[number]
         shifts.append(float(np.linalg.norm(shift + np.cross(turn, r + fit.median_reading * v))))
-        if beams[name].covariance is not None:
+        covariance = beams[name].covariance
+        if covariance is not None:
             _, J = spot_of(beams[name].coordinates, fit.median_reading)
-            times.append(shifts[-1] / radius(J @ beams[name].covariance @ J.T))
+            times.append(shifts[-1] / radius(J @ covariance @ J.T))
     if not times:
         return None
     values: dict[str, float | str] = {
