@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray, evenly
+from ..arrays import BoolArray, FloatArray, IntArray, evenly
 from ..data.screening import rounding
 from ..quantities import (
     FAR_SIGMAS,
@@ -103,6 +103,31 @@ def _balls(
     for (i, _), whole in zip(rest, _of_whole(kind, sphere, shots, rest, stated), strict=True):
         found[i] = whole
     return found
+
+
+def surely_balls(
+    kind: Kind,
+    shots: Sequence[tuple[FloatArray, FloatArray]],
+    found: Sequence[Condensed | None],
+    variance: float,
+) -> BoolArray:
+    """Tell of which shots (n,) the points kept as a ball fit it within their noise, and no plane.
+
+    Parameters
+    ----------
+    kind : Kind
+    shots : sequence of (across (n, c), reading (n,))
+    found : sequence of Condensed, optional
+        The balls of these shots.
+    variance : float
+        Of a reading [m^2].
+    """
+    balls = [(i, one) for i, one in enumerate(found) if one is not None]
+    sure = np.zeros(len(shots), dtype=bool)
+    for (i, one), grown in zip(balls, _flatter(kind, shots, balls).tolist(), strict=True):
+        fits = one.squares <= ROUGHEST_SHOT * variance * one.dof
+        sure[i] = fits and grown > FAR_SIGMAS**2 * variance
+    return sure
 
 
 def _best(

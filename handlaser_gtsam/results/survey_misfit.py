@@ -46,7 +46,7 @@ from ..model.equation import plausible_factors
 from ..model.families import BEAM, FAMILIES, OF_RANGE_ERROR, PLANE
 from ..model.sensors.kinds import KINDS
 from ..model.targets.sphere import SPHERE
-from ..model.targets_in_shots import condensed_shots
+from ..model.targets_in_shots import condensed_shots, surely_balls
 from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, ROUGH_CUT, WIDEST_CONE
 from ..text import count, some
 from .lines import NAMES_IN_LINE
@@ -524,9 +524,12 @@ def _looks_other(sensors: Sequence[Shots], labels: Sequence[str], label: str) ->
 
     Of few readings no sphere is known by its shot. Where no sensor knows one, the planes that others
     are labelled tell each sensor whether this target is as flat, and one that finds it is not decides.
+    A ball may be a small part of its shots, and all else in them a table: one sensor that finds it in
+    half of them decides.
     """
     kind = kind_of(label)
     sure: list[tuple[Cost, Cost, float]] = []
+    knowing: list[tuple[Shots, float]] = []
     as_planes: list[tuple[Shots, Cost]] = []
     for shots in sensors:
         seen = [s for s in np.unique(shots.station).tolist() if labels[s] == label]
@@ -534,12 +537,28 @@ def _looks_other(sensors: Sequence[Shots], labels: Sequence[str], label: str) ->
         if ways["sphere"][1] or ways["sphere"][2]:
             variance = min((total / dof for total, dof, _ in ways.values() if dof), default=0.0)
             sure.append((ways[kind], ways[OTHER_KIND[kind]], variance))
+            knowing.append((shots, variance))
         elif ways["plane"][1]:
             as_planes.append((shots, ways["plane"]))
     if sure:
-        return _much_better(sure)
+        if not _much_better(sure):
+            return False
+        return kind == "plane" or not any(_shows_balls(*one, labels, label) for one in knowing)
     bent = [_bent(shots, labels, label, way) for shots, way in as_planes]
     return (kind == "plane") in bent
+
+
+def _shows_balls(shots: Shots, variance: float, labels: Sequence[str], label: str) -> bool:
+    """Tell whether at least half of the shots before one target surely have a ball among their points.
+
+    Where a table is labelled as a ball, a ball may lie in the view of some shots.
+    """
+    seen = [s for s in np.unique(shots.station).tolist() if labels[s] == label]
+    own = [shots.station == s for s in seen]
+    tables = [(shots.across[rows], shots.reading[rows]) for rows in own]
+    kind = KINDS[shots.kind]
+    found = condensed_shots(kind, SPHERE.name, tables, Stated(sigma=shots.sigma))
+    return 2 * int(surely_balls(kind, tables, found, variance).sum()) >= len(seen)
 
 
 def _bent(shots: Shots, labels: Sequence[str], label: str, as_plane: Cost) -> bool | None:
