@@ -59,11 +59,9 @@ def leave_out_gross(state: SurveyState) -> None:
     planes: Planes = {}
     for turn in range(MOST_ROUNDS):
         # What is gross shows long before a minimum, to which a search with gross shots may creep.
-        lost = np.zeros(len(state.used), dtype=bool)
-        if not state.minimize(STEPS_IN_VAIN):
-            lost = state.impossible()
-            if not (lost & state.used).any():
-                return
+        minimized, lost = state.minimize(STEPS_IN_VAIN), state.impossible()
+        if not (minimized or (lost & state.used).any()):
+            return
         if turn < MOST_ROUNDS // 2 and other_planes_taken(state, GROSS, planes):
             continue
         different = numbers_of(state.rows)

@@ -13,6 +13,7 @@ from ..model.relation import BODY, Relation, held
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
+from ..quantities import TEN_TIMES
 from .dense import DenseRows, dense_rows, unknowns_of, with_curved_errors, with_pose_errors
 from .estimate import BlockProblem, minimum
 from .joint_solution import STEPS_IN_VAIN
@@ -93,10 +94,18 @@ class SurveyState:
         return np.asarray(np.sqrt(total / np.maximum(count, 1.0)))
 
     def impossible(self) -> BoolArray:
-        """Tell which items have a ray along their plane, beside which there is no minimum."""
+        """Tell which items have a ray along their plane, or one that meets it far beyond what is seen.
+
+        To first order the least error of the hand explains where it meets it; beside it there is no
+        minimum, or none that rounding does not hide.
+        """
         blocks, owner = self._blocks(self.rows.items, pose_errors=False)
-        each = [impossible_rows(block.evaluate(self.values), block).ravel() for block in blocks]
-        found = np.zeros(len(self.used), dtype=bool)
+        found, far = np.zeros(len(self.used), dtype=bool), TEN_TIMES * self.rows.length
+        each = []
+        for block in blocks:
+            rows = block.evaluate(self.values)
+            beyond = np.abs(rows.columns[-1]) > far
+            each.append((impossible_rows(rows, block) | beyond).ravel())
         found[owner[np.concatenate(each)]] = True
         return found
 
