@@ -13,6 +13,7 @@ import handlaser_gtsam as hl
 from benchmarks.mobile_base import WALLS, driven, run_once
 from handlaser_gtsam import model
 from handlaser_gtsam.factors import range_to_plane, range_to_plane_from_pose
+from handlaser_gtsam.results.graph_reading import OwnGraph, _saved_without
 from handlaser_gtsam.validation.scenes import Layout
 
 SIGMA = 1e-3
@@ -752,6 +753,51 @@ def test_a_reading_that_is_far_off_is_named_as_calibrate_names_it():
     assert found.verdict.code == batch.verdict.code == "usable-with-care"
 
 
+@pytest.mark.parametrize("kind", ["known poses", "estimated poses", "one factor", "coupled rows"])
+def test_one_gross_reading_that_is_why_a_graph_does_not_fit_is_named(kind):
+    graph, start, rng = gtsam.NonlinearFactorGraph(), started(), np.random.default_rng(3)
+    poses, planes = robot().poses, [(WALL, FLOOR)[j % 2] for j in range(40)]
+    ranges = [
+        reading(pose, plane, R, V, noise=SIGMA * rng.standard_normal()) + 0.5 * (j == 6)
+        for j, (pose, plane) in enumerate(zip(poses, planes, strict=True))
+    ]
+    if kind == "known poses":
+        for pose, plane, d in zip(poses, planes, ranges, strict=True):
+            graph.push_back(range_to_plane(BEAM, plane, [pose], [d], SIGMA))
+    elif kind == "estimated poses":
+        for j, (pose, plane, d) in enumerate(zip(poses, planes, ranges, strict=True)):
+            key = gtsam.symbol("x", j)
+            graph.push_back(range_to_plane_from_pose(BEAM, plane, key, d, SIGMA))
+            graph.addPriorPose3(key, pose, gtsam.noiseModel.Isotropic.Sigma(6, 0.5 * SIGMA))
+            start.insert(key, pose)
+    else:
+        root = np.eye(20) + 0.3 * (kind == "coupled rows")
+        model = gtsam.noiseModel.Gaussian.Covariance(SIGMA**2 * root @ root.T)
+        for first, plane in enumerate((WALL, FLOOR)):
+            own = slice(first, None, 2)
+            graph.push_back(range_to_plane(BEAM, plane, poses[own], ranges[own], model))
+    found = hl.read_graph(graph, hl.optimize(graph, start).values, {"laser": BEAM}, PLANES)
+    assert (found.status, codes(found)) == ("not_converged", ["no-fit", "far-reading"])
+    station = {"known poses": "factor 6", "estimated poses": "x6"}.get(kind, "factor 0 row 4")
+    assert f"the reading of beam laser at station {station} is" in found.message
+    assert found.warnings[1].values["station"] == station
+    assert found.verdict.code == "no-fit"
+
+
+def test_what_chi2_would_be_without_a_reading_is_what_it_is():
+    graph, walker, rng = gtsam.NonlinearFactorGraph(), robot(), np.random.default_rng(3)
+    for j, pose in enumerate(walker.poses):
+        plane = (WALL, FLOOR)[j % 2]
+        d = reading(pose, plane, R, V, noise=SIGMA * rng.standard_normal()) + 0.02 * (j == 6)
+        graph.push_back(range_to_plane(BEAM, plane, [pose], [d], SIGMA))
+    values = hl.optimize(graph, started()).values
+    chi2 = 2.0 * graph.error(values)
+    saved = _saved_without(OwnGraph(graph, values, {"laser": BEAM}, PLANES), 6, 0)
+    graph.remove(6)
+    rest = 2.0 * graph.error(hl.optimize(graph, started()).values)
+    assert saved == pytest.approx(chi2 - rest, rel=0.02)
+
+
 @pytest.mark.parametrize("prior", [5e-3, 0.0])
 def test_readings_in_millimetres_that_a_range_error_takes_in_are_no_calibration(prior):
     beam = hl.factors.BeamKeys(BEAM.location, BEAM.direction, gtsam.symbol("k", 0))
@@ -777,7 +823,8 @@ def test_a_prior_that_is_missed_by_far_is_a_misfit():
         plane = (WALL, FLOOR)[j % 2]
         d = reading(pose, plane, R, V, noise=SIGMA * rng.standard_normal())
         graph.push_back(range_to_plane(BEAM, plane, [pose], [d], SIGMA))
-    for away, status in ((4e-3, "converged"), (0.04, "not_converged")):
+    # Of the last the residuals of the readings are ten times their sigmas, too.
+    for away, status in ((4e-3, "converged"), (0.04, "not_converged"), (0.4, "not_converged")):
         noise = gtsam.noiseModel.Isotropic.Sigma(3, 2e-3)
         known = gtsam.NonlinearFactorGraph(graph)
         known.push_back(gtsam.PriorFactorPoint3(BEAM.location, R + away, noise))

@@ -123,6 +123,35 @@ def test_vehicles_with_sensors_of_many_rays(kind, motion, walls, words):
 
 
 @pytest.mark.slow
+def test_of_two_heights_that_disagree_the_readings_do_not_say_which_is_false():
+    """In planar motion the leaning wall was named alone, and all followed without it."""
+    survey = vehicle("array", "planar", "one leans", beside=("points",))
+    azimuth, lean = np.radians(WALLS["one leans"][2])
+    leaning = np.array(
+        [np.cos(azimuth) * np.cos(lean), np.sin(azimuth) * np.cos(lean), np.sin(lean)]
+    )
+    well = {"sigma": 1e-4, "sigma_angle": 0.01}
+    plane = hl.Known("plane", ("plane:C",), value=-1.997, direction=leaning, **well)  # 3 mm off
+    eye, points = (
+        hl.Known("mount", (f"sensor:{one[0]}",), pose=mounted(*one)[1], **well)
+        for one in (
+            ("eye", "array", 20.0, (0.1, -0.05, 0.3)),
+            ("points", "points", -15.0, (0.0, 0.1, 0.2)),
+        )
+    )
+    noise = hl.Noise(pose_translation_sigma=2e-5, pose_rotation_sigma=1e-5)
+    for others in ((eye,), (eye, points)):
+        found = hl.calibrate(replace(survey, known=(plane, *others)), noise)
+        (warning,) = found.warnings
+        assert (found.verdict.code, warning.code) == ("contradicted", "relation-contradicted")
+        either = len(others) == 1
+        assert ("plane of plane:C or mount of sensor:eye" in warning.message) == either
+        assert [one.contradicted for one in found.relations] == [True] + [either] * len(others)
+        assert found.relations[0].rivals == ((eye,) if either else ())
+        assert found.without.status == ("undetermined" if either else "converged")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [6, 15])
 def test_flat_sensors_take_the_mirror_image_that_the_others_have(seed):
     """Each finds one of two images of itself and of the board, and an array finds the true one only.

@@ -26,7 +26,7 @@ from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..model.weighting import covariance_roots
 from ..quantities import IN_PERCENT, MEDIAN_TO_SIGMA, MM, MOST_ROUNDS, SAME_OPTIMUM
-from .dense import spanned, tests_of
+from .dense import DenseRows, spanned, tests_of
 from .errors_by_pose import ErrorsByPose
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, judged
 from .joint_solution import STEPS_IN_VAIN
@@ -94,11 +94,15 @@ class RelationTest(Value):
     p_value : float
         Probability of a larger contradiction by chance.
     contradicted : bool
+        Whether the contradiction ends where it is left out, or where one of its rivals is.
+    rivals : tuple of Known
+        Other relations that may be false in its place: the readings do not say which.
     """
 
     known: Known
     p_value: float
     contradicted: bool
+    rivals: tuple[Known, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -889,20 +893,46 @@ def _tested(state: SurveyState) -> tuple[RelationTest, ...]:
     number = {id(known): i for i, known in enumerate(different)}
     for part, (known, _) in zip(reversed(rows.where), reversed(relations), strict=False):
         group[part] = number[id(known)]
-    p_value, contradicted = np.ones(len(different)), np.zeros(len(different), dtype=bool)
-    while not contradicted.all():
+    level = FAMILY_LEVEL / len(different)
+    p_value, false = np.ones(len(different)), np.zeros(len(different), dtype=bool)
+    while not false.all():
         # What a false relation does to true ones must not count against them: without those found.
-        out = np.isin(group, np.flatnonzero(contradicted))
-        rows.derivatives[out], rows.residuals[out] = 0.0, 0.0
-        _, number_left = np.unique(np.where(out, -1, group), return_inverse=True)
-        chi2, dof = tests_of(rows, number_left - 1)
-        left = np.flatnonzero(~contradicted)
-        p_value[left] = np.where(dof > 0, chi2_sf(chi2, np.maximum(dof, 1)), 1.0)
-        worst = left[most_contradicted(p_value[left], chi2)]
-        if p_value[worst] >= FAMILY_LEVEL / len(different):
+        p, chi2 = _tested_without(false, rows, group)
+        p_value[~false] = p[~false]
+        worst = most_contradicted(p, chi2)
+        if p[worst] >= level:
             break
-        contradicted[worst] = True
+        false[worst] = True
+    # Relations of one number may stand in for each other.
+    alike = np.arange(len(different))
+    for one in np.flatnonzero(false).tolist():
+        left = false & (np.arange(len(false)) != one)
+        p, _ = _tested_without(left, rows, group)
+        for other in np.flatnonzero((p < level) & ~false).tolist():
+            instead = left | (np.arange(len(false)) == other)
+            if (_tested_without(instead, rows, group)[0] >= level).all():
+                p_value[other] = min(p_value[other], p[other])
+                alike[alike == alike[other]] = alike[one]
     return tuple(
-        RelationTest(known, float(p), bool(wrong))
-        for known, p, wrong in zip(different, p_value, contradicted, strict=True)
+        RelationTest(
+            known,
+            float(p_value[i]),
+            bool(false[alike == alike[i]].any()),
+            tuple(different[j] for j in np.flatnonzero(alike == alike[i]).tolist() if j != i),
+        )
+        for i, known in enumerate(different)
     )
+
+
+def _tested_without(
+    out: BoolArray, rows: DenseRows, group: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the probability and chi2 of each relation without some, of which they are 1 and 0."""
+    gone = np.isin(group, np.flatnonzero(out))
+    J, e = rows.derivatives.copy(), rows.residuals.copy()
+    J[gone], e[gone] = 0.0, 0.0
+    _, number = np.unique(np.where(gone, -1, group), return_inverse=True)
+    p, chi2 = np.ones(len(out)), np.zeros(len(out))
+    chi2[~out], dof = tests_of(replace(rows, derivatives=J, residuals=e), number - 1)
+    p[~out] = np.where(dof > 0, chi2_sf(chi2[~out], np.maximum(dof, 1)), 1.0)
+    return p, chi2

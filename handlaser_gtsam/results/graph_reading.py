@@ -5,7 +5,7 @@ the information of beams and planes. Whether the values are the optimum of the g
 whether the graph determines the beams.
 """
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,12 +24,12 @@ from ..model.equation import plausible_factors
 from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM, PLANE, RANGE_ERROR
 from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
-from ..quantities import NEGLIGIBLE, TEN_TIMES
+from ..quantities import MAJORITY, NEGLIGIBLE, TEN_TIMES
 from ..solvers.graph import parameters_of
 from ..solvers.graph_levenberg import OPTIMAL, require_values, usable_values
 from .calibration import Calibration
 from .calibration_data import OF_GRAPH, Determined, Fit, StartReport, Status
-from .messages import warned
+from .messages import Values, warned
 from .problem import fit_of_rows, named_estimates
 from .warnings import IMPLAUSIBLE, NO_MOUNT, far_reading
 
@@ -202,6 +202,8 @@ class GraphFit(NamedTuple):
         Predicted [m]; NaN where they are not known.
     against : set of int
         Keys of the planes whose normals point towards the sensors.
+    farthest : (int, int)
+        The factor, and its row, of the reading that is most sigmas off.
     """
 
     fit: Fit
@@ -210,6 +212,7 @@ class GraphFit(NamedTuple):
     beam: IntArray
     ranges: FloatArray
     against: set[int]
+    farthest: tuple[int, int]
 
     def has_plausible_range_errors(self, at: Parameters) -> bool:
         """Tell whether every true range is of the order of its reading; see `plausible_factors`.
@@ -241,6 +244,7 @@ def _fit_of_graph(own: OwnGraph, wanted: Variables, unknowns: int) -> GraphFit:
     along: dict[int, float] = {}
     missed = (0.0, "")
     rows: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
+    places: list[tuple[int, int]] = []
     for number in range(own.graph.size()):
         if not own.graph.exists(number):
             continue
@@ -265,6 +269,7 @@ def _fit_of_graph(own: OwnGraph, wanted: Variables, unknowns: int) -> GraphFit:
         inner = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
         sigma = np.asarray(inner.sigmas() if hasattr(inner, "sigmas") else np.ones(len(e)), float)
         rows.append((read.beam, e, sigma, read.ranges))
+        places += [(number, row) for row in range(len(e))]
     for i, name in enumerate(own.beams):
         if all((beam != i).all() for beam, *_ in rows):
             expected = "at least one, and all beams of a factor that holds several"
@@ -288,22 +293,47 @@ def _fit_of_graph(own: OwnGraph, wanted: Variables, unknowns: int) -> GraphFit:
     )
     against = {key for key, total in along.items() if total < 0.0}
     times = float(np.sqrt(2.0 * cost / len(e)))
-    return GraphFit(fit, times, missed, column, ranges, against)
+    farthest = places[int(np.abs(e / sigma).argmax())]
+    return GraphFit(fit, times, missed, column, ranges, against, farthest)
 
 
-def _misfit(found: GraphFit, at: Parameters) -> CalibrationWarning | None:
-    """Say that an optimum is no calibration: of what does not fit, or what no sensor has."""
-    far = float(np.linalg.norm(at.locations, axis=1).max())
-    if found.fit.dof > 0 and found.times > TEN_TIMES:
-        return warned("no-fit:sigmas", {"sigma0": found.times})
-    if not found.has_plausible_range_errors(at):
-        return warned(IMPLAUSIBLE)
-    if far > NO_MOUNT:
-        return warned("far-beam:no-mount", {"distance_m": far})
+def _misfit(own: OwnGraph, found: GraphFit, at: Parameters) -> Iterator[CalibrationWarning]:
+    """Say why an optimum is no calibration: of what does not fit, or what no sensor has."""
+    far, fit = float(np.linalg.norm(at.locations, axis=1).max()), found.fit
     times, variable = found.missed
-    if times > TEN_TIMES:
-        return warned("no-fit:prior", {"variable": variable, "times": times})
-    return None
+    misfits = fit.dof > 0 and found.times > TEN_TIMES
+    alone = tuple(far_reading(fit)) if misfits else ()
+    if alone and _saved_without(own, *found.farthest) > MAJORITY * (fit.chi2 - fit.dof):
+        (station, beam), sigmas = fit.max_standardized_residual_at, fit.max_standardized_residual
+        values: Values = {"station": station, "beam": beam, "sigmas": sigmas}
+        yield warned("no-fit:reading", {**values, "sigma0": found.times})
+        yield from alone
+    elif misfits and times <= found.times:
+        yield warned("no-fit:sigmas", {"sigma0": found.times})
+    elif not found.has_plausible_range_errors(at):
+        yield warned(IMPLAUSIBLE)
+    elif far > NO_MOUNT:
+        yield warned("far-beam:no-mount", {"distance_m": far})
+    elif times > TEN_TIMES:
+        yield warned("no-fit:prior", {"variable": variable, "times": times})
+
+
+def _saved_without(own: OwnGraph, number: int, row: int) -> float:
+    """Return how much smaller chi2 is without one row of a factor, as if the graph were linear."""
+    factor = own.graph.at(number)
+    assert isinstance(factor, gtsam.CustomFactor)
+    linear, model = factor.linearize(own.values), factor.noiseModel()
+    keys, (J, e) = list(linear.keys()), linear.jacobian()
+    try:
+        joint = gtsam.Marginals(own.graph, own.values).jointMarginalCovariance(sorted(set(keys)))
+    except RuntimeError:  # planes far from the origin, whose normals and offsets look alike there
+        return 0.0
+    S = np.block([[joint.at(a, b) for b in keys] for a in keys])
+    inner = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
+    assert isinstance(inner, gtsam.noiseModel.Gaussian)
+    u = np.asarray(inner.R())[:, row]
+    of_others = 1.0 - float(u @ J @ S @ J.T @ u) / float(u @ u)
+    return float(u @ e) ** 2 / float(u @ u) / of_others if of_others > NEGLIGIBLE else 0.0
 
 
 def read_graph(
@@ -357,9 +387,10 @@ def read_graph(
     signs = np.array([-1.0 if key in graph_fit.against else 1.0 for key in planes.values()])
     at = replace(at, normals=signs[:, None] * at.normals, offsets=signs * at.offsets)
     warnings: tuple[CalibrationWarning, ...] = ()
-    wrong = _misfit(graph_fit, at) if status == "converged" else None
-    if wrong is not None:
-        status, message, covariance, warnings = "not_converged", wrong.message, None, (wrong,)
+    if status == "converged":
+        warnings = tuple(_misfit(own, graph_fit, at))
+    if warnings:
+        status, message, covariance = "not_converged", warnings[0].message, None
     else:
         if fit.p_value < SINGLE_LEVEL:
             warnings = (warned("sigmas-too-small:graph", chi2=fit.chi2, dof=fit.dof),)

@@ -265,8 +265,9 @@ class SurveyCalibration(Result):
     warnings : tuple of CalibrationWarning
     chi2, dof : float, int
     without : SurveyCalibration, optional
-        The same without the relations that the readings contradict; None where there are none, or where
-        nothing leads to a start without them.
+        The same without the relations that the readings contradict, and without all of those that may
+        be false in place of each other: then `undetermined` where only these know a number. None where
+        there are none, or where nothing leads to a start without them.
     """
 
     status: Status
@@ -405,13 +406,13 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
 def beside(result: SurveyCalibration, without: SurveyCalibration) -> SurveyCalibration:
     """Return a result with that `without` the relations that the readings contradict.
 
-    Range errors and rejected shots that show beside a false relation alone are effects of it, and no
-    warnings of their own.
+    Range errors, rejected shots, a misfit and what seems moved that show beside a false relation alone
+    are effects of it, and no warnings of their own.
     """
     warnings = result.warnings
-    if without.status == "converged":
+    if without.status in ("converged", "undetermined"):
         shown = {(one.code, one.values.get("sensor")) for one in without.warnings}
-        effects = {"range-error", "many-rejected"}
+        effects = {"range-error", "many-rejected", "sigmas-too-small", DISPLACED}
         warnings = tuple(
             one
             for one in warnings

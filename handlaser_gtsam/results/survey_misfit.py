@@ -20,7 +20,7 @@ import numpy as np
 
 from ..arrays import FloatArray, evenly
 from ..data.noise import Noise
-from ..data.survey import Shots, Survey, kind_of, normal_label
+from ..data.survey import Known, Shots, Survey, kind_of, normal_label
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import MOST_REJECTED, Estimate
 from ..estimation.survey import (
@@ -418,11 +418,19 @@ def implausible(rows: SurveyRows, values: Mapping[str, FloatArray]) -> Iterator[
 
 
 def contradictions(tests: Sequence[RelationTest]) -> Iterator[CalibrationWarning]:
-    """Warn of the relations that the readings contradict."""
+    """Warn of the relations that the readings contradict, and of rivals only once."""
+    named: list[Known] = []
     for tested in tests:
-        if tested.contradicted:
-            values: Values = {"p": tested.p_value, "known": tested.known.words}
-            yield warned(FALSE_RELATION, values, likely=p_words(tested.p_value, 1))
+        if not tested.contradicted or tested.known in named:
+            continue
+        named += [tested.known, *tested.rivals]
+        known = " or ".join(one.words for one in (tested.known, *tested.rivals))
+        values: Values = {"p": tested.p_value, "known": known}
+        likely = p_words(tested.p_value, 1)
+        if tested.rivals:
+            yield warned(f"{FALSE_RELATION}:either", values, likely=likely)
+        else:
+            yield warned(FALSE_RELATION, values, likely=likely)
 
 
 def first_noise(rows: SurveyRows, fit: FirstFit, given: Noise) -> tuple[str, ...]:

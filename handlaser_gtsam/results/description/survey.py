@@ -175,6 +175,7 @@ def facts(result: "SurveyCalibration", verdict: Verdict) -> Facts:
     judged = contradicted or result.status in ("converged", "undetermined")
     for one in result.relations:
         words = "contradicted by the readings" if one.contradicted else "agrees with the readings"
+        words = " or ".join((words, *(f"{other.words} is" for other in one.rivals)))
         words = f"{words} ({p_words(one.p_value)})"
         if not judged:  # then its test means nothing
             words = "not judged, because the readings do not fit each other"
@@ -210,15 +211,21 @@ def _without(result: "SurveyCalibration", other: "SurveyCalibration") -> Iterato
         angles, digits = _angles(sensor)
         to = _places(sensor.location, sensor.location_sigma)
         to |= {axis: f"{x:.{digits}f}" for axis, x in zip("ABC", angles.tolist(), strict=True)}
-        shift = float(np.linalg.norm(sensor.location - before.location))
+        shift = _shift(sensor, before)
         yield f"{name} without it", said("without:sensor", shift=shift, turn=turn, **to)
     for name, beam in other.beams.items():
         old = result.beams[name]
         sine = float(np.linalg.norm(np.cross(beam.direction, old.direction)))
         turn = math.atan2(sine, float(beam.direction @ old.direction))
         to = _places(beam.location, beam.location_sigma)
-        shift = float(np.linalg.norm(beam.location - old.location))
+        shift = _shift(beam, old)
         yield f"beam {name} without it", said("without:beam", shift=shift, turn=turn, **to)
+
+
+def _shift(mount: "Mount", before: "Mount") -> float:
+    """Return how far a mount moves [m] along the axes along which its location is determined."""
+    known = np.isfinite(mount.location_sigma)
+    return float(np.linalg.norm((mount.location - before.location)[known]))
 
 
 def _places(location: FloatArray, sigma: FloatArray) -> dict[str, str]:
