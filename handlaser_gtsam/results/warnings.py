@@ -190,8 +190,10 @@ def fit_warnings(
     if redundancy < FEW_DEGREES:
         some = f"only {count(redundancy, 'reading')} more than"
         more = some if redundancy > 0 else "no more readings than"
-        given = ":given" if fit.range_sigma_given else ""
-        yield warned(f"few-readings{given}", {"redundancy": redundancy}, more=more)
+        if fit.range_sigma_given:
+            yield warned("few-readings:given", {"redundancy": redundancy}, more=more)
+        else:
+            yield warned("few-readings", {"redundancy": redundancy}, more=more)
 
 
 def far_reading(fit: Fit) -> Iterator[CalibrationWarning]:
