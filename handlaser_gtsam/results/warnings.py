@@ -190,10 +190,10 @@ def fit_warnings(
     if redundancy < FEW_DEGREES:
         some = f"only {count(redundancy, 'reading')} more than"
         more = some if redundancy > 0 else "no more readings than"
-        if fit.range_sigma_given:
-            yield warned("few-readings:given", {"redundancy": redundancy}, more=more)
-        else:
+        if not fit.range_sigma_given:
             yield warned("few-readings", {"redundancy": redundancy}, more=more)
+        elif solution.observability.full:
+            yield warned("few-readings:given", {"redundancy": redundancy}, more=more)
 
 
 def far_reading(fit: Fit) -> Iterator[CalibrationWarning]:
