@@ -727,9 +727,11 @@ def _settle(state: SurveyState) -> bool:
         after = state.sizes.vector()
         learned = (np.abs(after - before) > SAME_OPTIMUM * np.maximum(after, before)).any()
         straightened = about_errors(state.rows, state.values)
+        # What errors of the hand do to second order was taken at the values before.
+        unsettled = not turn and SPHERE.name in state.rows.targets
         if straightened is not None:
             state.rows = straightened
-        elif not (learned or worst_changed(state) or _hidden_left_out(state)):
+        elif not (learned or worst_changed(state) or _hidden_left_out(state) or unsettled):
             return True
     return False
 
@@ -744,7 +746,7 @@ def _hidden_left_out(state: SurveyState) -> bool:
     """
     if not state.learning or state.used.mean() <= 1.0 - MOST_LEFT_OUT:
         return False
-    p, chi2, tested, _ = agreement(state)
+    p, chi2, tested = agreement(state)
     worst = tested[most_contradicted(p, chi2)]
     _, owner = state.dense()
     rows, stops = int((owner == worst).sum()), len(np.unique(state.stops(owner[owner >= 0])))
@@ -758,7 +760,7 @@ def _hidden_left_out(state: SurveyState) -> bool:
         columns[own, np.arange(len(own))] = 1.0
         return columns
 
-    _, chi2, *_ = agreement(replace(state, sizes=learned_sizes(state, alone)))
+    _, chi2, _ = agreement(replace(state, sizes=learned_sizes(state, alone)))
     far = float(chi2[tested == worst].sum()) / rows
     if f_sf(far, rows, stops - rows - 1) >= FAMILY_LEVEL / len(tested):
         return False

@@ -66,11 +66,12 @@ def leave_out_gross(state: SurveyState) -> None:
             continue
         different = numbers_of(state.rows)
         target = np.array([different[item.target] for item in state.rows.items])
-        misfit = np.where(lost, np.inf, state.misfits())
+        misfit = state.misfits()
         typical = float(np.median(misfit))
         kept = misfit <= GROSS * max(typical, 1.0)
         if kept.all() and typical > GROSS:
             kept = misfit <= np.quantile(misfit, TRIMMED)
+        misfit, kept = np.where(lost, np.inf, misfit), kept & ~lost
         for own in target == np.arange(len(different))[:, None]:
             largest = misfit[own & state.used].max(initial=0.0)
             # Of the shots of a target, those go first whose misfit is at least this part of its
@@ -171,27 +172,27 @@ def without_off_target(state: SurveyState) -> SurveyState | None:
 
 def worst_changed(state: SurveyState) -> bool:
     """Leave out the shot that the others contradict most, or take one back; tell whether any was."""
-    p, chi2, tested, _ = agreement(state)
+    p, chi2, tested = agreement(state)
     worst = most_contradicted(p, chi2)
     if p[worst] < FAMILY_LEVEL / len(p) and state.used.mean() > 1.0 - MOST_LEFT_OUT:
         state.used = state.used & (np.arange(len(state.used)) != tested[worst])
         return True
-    misfit = np.where(state.used | grazing(state.rows), np.inf, state.misfits())
+    # Rays along a plane, as of a wrong label, would decide where it is.
+    never = state.used | grazing(state.rows) | state.impossible()
+    misfit = np.where(never, np.inf, state.misfits())
     for best in np.argsort(misfit)[: np.isfinite(misfit).sum()]:
         # How far it may be off depends on how well the others predict it: one that agrees counts again.
-        # One whose rays graze their plane, as of a wrong label, would decide where the plane is.
         trial = replace(state, used=state.used | (np.arange(len(state.used)) == best))
-        p, _, tested, whole = agreement(trial)
-        if (whole & (p >= FAMILY_LEVEL))[tested == best]:
+        p, _, tested = agreement(trial)
+        if p[tested == best] >= FAMILY_LEVEL:
             state.used = trial.used
             return True
     return False
 
 
-def agreement(state: SurveyState) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
+def agreement(state: SurveyState) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return how the shots that count agree with all others: p, chi2 and the number of each item.
 
-    Last of all, whether the others say something of all its rows.
     Where sizes of the noise are learned from few readings, a shot that is far in units of them need not
     be wrong: the ratio to what the others say of the noise follows an F distribution.
     """
@@ -203,7 +204,7 @@ def agreement(state: SurveyState) -> tuple[FloatArray, FloatArray, IntArray, Boo
     p = chi2_sf(chi2, some)
     if state.learning:
         p = f_sf(chi2 / some, some, max(redundancy, 1))
-    return np.where(dof > 0, p, 1.0), chi2, tested, dof == np.bincount(group[group >= 0])
+    return np.where(dof > 0, p, 1.0), chi2, tested
 
 
 def most_contradicted(p: FloatArray, chi2: FloatArray) -> int:

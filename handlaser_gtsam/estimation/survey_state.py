@@ -9,6 +9,9 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.noise import Noise
 from ..data.survey import Known
 from ..model.block import Block, impossible_rows
+from ..model.condensed_shots import Mixed
+from ..model.families import PLANE
+from ..model.range_blocks import Ranges
 from ..model.relation import BODY, Relation, held
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
@@ -99,14 +102,19 @@ class SurveyState:
         To first order the least error of the hand explains where it meets it; beside it there is no
         minimum, or none that rounding does not hide.
         """
-        blocks, owner = self._blocks(self.rows.items, pose_errors=False)
+        as_read = beams_stretch(self.rows)
+        blocks, owner = blocks_of(self.rows.items, self.sigmas(), self.values, as_read=as_read)
         found, far = np.zeros(len(self.used), dtype=bool), TEN_TIMES * self.rows.length
-        each = []
+        first = 0
         for block in blocks:
             rows = block.evaluate(self.values)
-            beyond = np.abs(rows.columns[-1]) > far
-            each.append((impossible_rows(rows, block) | beyond).ravel())
-        found[owner[np.concatenate(each)]] = True
+            lost = impossible_rows(rows, block)[0]
+            ranges = block.ranges if isinstance(block, Mixed) else block
+            if isinstance(ranges, Ranges) and ranges.target.family == PLANE.name:
+                off = np.abs(ranges.evaluate(self.values).columns[-1][0])
+                lost = lost | (off > far).any(axis=1, keepdims=True)
+            found[owner[first : first + lost.size][lost.ravel()]] = True
+            first += lost.size
         return found
 
     def take(self, other: "SurveyState") -> None:

@@ -184,10 +184,7 @@ def _displacement_in(state: SurveyState, *, fits: bool) -> tuple[Entity, int, Tr
         if chi2_sf(one.chi2, max(one.rank, 1)) < FAMILY_LEVEL:
             free = try_free(state, partial(_since, entity, station))
             p = min(free.p_value * looked_for, 1.0)
-            # To first order rays that graze a wrong plane move a mount by any size.
-            of_mount = entity[0] not in (PLANE.name, SPHERE.name)
-            near = not of_mount or np.linalg.norm(free.size) < state.rows.length
-            if p < FAMILY_LEVEL and near:
+            if p < FAMILY_LEVEL:
                 moves.append((entity, station, replace(free, p_value=p)))
     if not moves:
         return None
@@ -199,6 +196,8 @@ def _displacement_in(state: SurveyState, *, fits: bool) -> tuple[Entity, int, Tr
 def _with_all_shots(found: SurveyEstimate, noise: Components) -> SurveyState | None:
     """Return the state of an estimate with all shots that may count; None without a minimum."""
     state = replace(found.learning(), used=~grazing(found.rows), sizes=noise)
+    # To first order rays that graze a wrong plane move a mount by any size.
+    state.used = state.used & ~state.impossible()
     return state if state.minimize(STEPS_IN_VAIN) else None
 
 

@@ -351,7 +351,8 @@ def _chosen(task: Task, stations: int, rng: np.random.Generator) -> Plan:
         forecast = aim.forecast(station_rows(belief, best))
         if count == stations or forecast.reaches(goal) is not None:
             break
-        count += 1  # those that serve other mounts as well say less at the most probable ones
+        # Those that serve other mounts as well say less at the most probable ones.
+        count = min(count + max(1, count // 10), stations)
     best = best[np.arange(aim.enough(station_rows(belief, best)))]
     return task.planned(best, without(pool, chosen))
 

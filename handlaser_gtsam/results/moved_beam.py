@@ -49,8 +49,7 @@ PLATE, TOOL = -1, -2
 
 
 ROUGH = 3.0
-"""Noise learned as more than this many times what is usual may stand for a tool that was moved:
-arms err by up to this."""
+"""Noise learned as more than this many times what is usual may stand for a tool that was moved."""
 
 
 class Suspect(NamedTuple):
@@ -189,12 +188,10 @@ def _moved_tool(
     Errors of an arm that change with its pose are others before each plate, too.
     """
     turn, shift = move.size[:3], move.size[3:]
-    noise = problem.noise
-    stated = noise.pose_rotation_sigma, noise.pose_translation_sigma
-    usual = noise.pose_rotation_prior, noise.pose_translation_prior
-    limits = (b if a is None else a for a, b in zip(stated, usual, strict=True))
-    sizes = np.linalg.norm(turn), np.linalg.norm(shift)
-    if not any(size > TEN_TIMES * one for size, one in zip(sizes, limits, strict=True)):
+    noise, (of_shift, of_turn) = problem.noise, problem.noise.standstill
+    turned, shifted = float(np.linalg.norm(turn)), float(np.linalg.norm(shift))
+    far = shifted > TEN_TIMES * max(of_shift, noise.pose_translation_prior)
+    if not (far or turned > TEN_TIMES * max(of_turn, noise.pose_rotation_prior)):
         return None
     shifts, times = [], []
     for number, name in enumerate(problem.names.sorted_beams()):
@@ -210,7 +207,7 @@ def _moved_tool(
         "target": "the tool",
         "station": problem.recording.station_names[move.position],
         "shift": max(shifts),
-        "turn_deg": float(np.degrees(sizes[0])),
+        "turn_deg": float(np.degrees(turned)),
         "p": move.p_value,
         "times": max(times),
     }
@@ -276,9 +273,9 @@ def _likely_move(rows: LinearRows, dof: int, known: bool, rough: bool) -> Move |
     own = [np.flatnonzero(rows.readings.beam == beam) for beam in range(beams)]
     suspects = [Suspect(beam, at, rows.J[at, :MOUNT_DIM]) for beam, at in enumerate(own)]
     alone = partial(_falls_alone, rows, heavy, weight)
-    tool = [Suspect(TOOL, everything, rows.linear.pose)] * (
-        beams > 1
-    )  # of a single one it is the same
+    tool = []
+    if beams > 1:  # of a single beam the tool frame is the same
+        tool.append(Suspect(TOOL, everything, rows.linear.pose))
     falls = list(map(alone, suspects))
     # Alone it explains no more than with the others: most good recordings, whose best of all tests is
     # what chance makes of their number, end here.
@@ -300,10 +297,12 @@ def _likely_move(rows: LinearRows, dof: int, known: bool, rough: bool) -> Move |
     first = sorted(range(len(falls)), key=lambda number: -falls[number][0])[:4]
     moves = [tried(suspects[i], falls[i][1]) for i in first if falls[i][2]]
     # Planes follow a tool that was moved: it shows beside them, and from the right station on only.
-    for one in tool * rough:
+    for one in tool if rough else ():
         splits = _splits(rows.position, one)
-        many = max(NUMBERS_AT_ONCE // one.J.size, MOST_SPLITS)
-        moves += [tried(one, split) for split in splits[evenly(len(splits), many)].tolist()]
+        splits = splits[evenly(len(splits), max(NUMBERS_AT_ONCE // one.J.size, MOST_SPLITS))]
+        tests += len(splits)
+        at_each = [tried(one, split) for split in splits.tolist()]
+        moves += sorted(at_each, key=lambda move: -move.share)[:1]
     if not min(moves, key=lambda move: move.criterion).clear:
         return None
     moves = sorted(moves, key=lambda move: move.criterion)[:4]

@@ -1,7 +1,8 @@
 """The result of a survey as a factor graph, for a graph of one's own.
 
 Hand poses that err are variables there, with what is known of them as priors; the estimate counts their
-errors in the weights of the readings instead, which is the same to first order.
+errors in the weights of the readings instead, which is the same to first order; before balls it counts
+what they do on average to second order, too.
 """
 
 from collections import defaultdict

@@ -175,7 +175,7 @@ def facts(result: "SurveyCalibration", verdict: Verdict) -> Facts:
     judged = contradicted or result.status in ("converged", "undetermined")
     for one in result.relations:
         words = "contradicted by the readings" if one.contradicted else "agrees with the readings"
-        words = " or ".join((words, *(f"{other.words} is" for other in one.rivals)))
+        words = ", or ".join((words, *(f"{other.words} is" for other in one.rivals)))
         words = f"{words} ({p_words(one.p_value)})"
         if not judged:  # then its test means nothing
             words = "not judged, because the readings do not fit each other"
