@@ -397,11 +397,17 @@ def first_state(
             if beside.minimize() and np.median(beside.misfits()) <= GROSS:
                 return beside
     ahead = with_planes_ahead(rows)
-    for some, most in ((rows, GROSS), (ahead, np.inf)):
-        if some is not None and all_redundant(some):
-            quick = state_of(some, noise)
-            if begin_quickly(quick, most) and _surely_fits(quick):
-                return quick
+    quick = replace(state)
+    if all_redundant(rows) and begin_quickly(quick, GROSS) and _surely_fits(quick):
+        return quick
+    if ahead is not None and all_redundant(ahead):
+        quick = state_of(ahead, noise)
+        if begin_quickly(quick) and _surely_fits(quick):
+            # Of a plane that errors of the sensor bend, a part alone may fit: from there with all of it.
+            there = replace(state, values=quick.values)
+            leave_out_gross(there)
+            if _surely_fits(there):
+                return there
     seen = _begun_off_balls(state)
     if seen is not None:
         return seen
