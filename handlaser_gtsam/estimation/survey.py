@@ -403,7 +403,7 @@ def first_state(
     if ahead is not None and all_redundant(ahead):
         quick = state_of(ahead, noise)
         if begin_quickly(quick) and _surely_fits(quick):
-            # Of a plane that errors of the sensor bend, a part alone may fit: from there with all of it.
+            # Of a plane that errors of the sensor bend, a part alone may fit: on with all of it.
             there = replace(state, values=quick.values)
             leave_out_gross(there)
             if _surely_fits(there):
