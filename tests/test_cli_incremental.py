@@ -52,7 +52,7 @@ def test_a_beam_that_has_moved_is_named(handlaser, tmp_path):
     assert "beam 2 has moved before plane G" in text
     assert "split the beam in a Session" in text
     assert "systematic errors: (which" not in text
-    assert "systematic errors: none but what the displaced beam explains (" in text
+    assert "systematic errors: none but what the displacement explains (" in text
 
 
 @pytest.mark.slow

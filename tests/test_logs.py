@@ -740,6 +740,12 @@ SIGNS = {
         {},
         "--rotation ZYX --units in",
     ),
+    "positions in centimetres": (
+        "kuka",
+        lambda x: x / [10.0, 10.0, 10.0, 1.0, 1.0, 1.0],
+        {},
+        "the positions are in centimetres: write them in millimetres or metres",
+    ),
     "inverted": ("kuka", lambda x: x, {"inverted": True}, "the poses are not inverted"),
     "ranges in millimetres": ("kuka", lambda x: x, {"range_units": "mm"}, "--range-units m"),
     "one pose": ("kuka", lambda x: x[:1].repeat(len(x), axis=0), {}, "one pose at all 44 stations"),

@@ -18,6 +18,9 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.files.logs.format_checks import convention_of
+from handlaser_gtsam.files.logs.survey_conventions import refuse_wrong_reading
+from handlaser_gtsam.model.conventions import numbers_of
 from handlaser_gtsam.observability.motion import check_motion, poor_motion, some_plane_leans
 from handlaser_gtsam.results.survey_check import check_survey
 from handlaser_gtsam.solvers.beam_problem import refine
@@ -756,6 +759,14 @@ def test_errors_of_recorded_turns_are_no_motion_of_a_vehicle(recorded):
     found = hl.calibrate(array_before_walls(0.0, recorded, 0))
     assert found.status == "undetermined"
     assert "the height of every sensor" in found.undetermined[0]
+
+
+@pytest.mark.parametrize("seed", [5, 7])
+def test_poses_of_a_vehicle_are_not_taken_for_another_convention(seed):
+    """A start from them may lie far along the height that they leave open: it counted as none."""
+    survey, log = array_before_walls(0.0, 0.02, seed), hl.LogFormat()
+    at = survey.stations.world_R_hand, survey.stations.world_t_hand
+    assert refuse_wrong_reading(survey, numbers_of(*at, convention_of(log)), log) == ()
 
 
 def test_turns_of_a_vehicle_on_an_uneven_floor_are_motion():

@@ -396,10 +396,10 @@ def first_state(
             leave_out_gross(beside)
             if beside.minimize() and np.median(beside.misfits()) <= GROSS:
                 return beside
-    ahead = with_planes_ahead(rows)
     quick = replace(state)
     if all_redundant(rows) and begin_quickly(quick, GROSS) and _surely_fits(quick):
         return quick
+    ahead = with_planes_ahead(rows)
     if ahead is not None and all_redundant(ahead):
         quick = state_of(ahead, noise)
         if begin_quickly(quick) and _surely_fits(quick):

@@ -46,8 +46,6 @@ from .warnings import DISPLACED
 
 PLATE, TOOL = -1, -2
 """In place of the number of a beam."""
-
-
 ROUGH = 3.0
 """Noise learned as more than this many times what is usual may stand for a tool that was moved."""
 
@@ -273,9 +271,7 @@ def _likely_move(rows: LinearRows, dof: int, known: bool, rough: bool) -> Move |
     own = [np.flatnonzero(rows.readings.beam == beam) for beam in range(beams)]
     suspects = [Suspect(beam, at, rows.J[at, :MOUNT_DIM]) for beam, at in enumerate(own)]
     alone = partial(_falls_alone, rows, heavy, weight)
-    tool = []
-    if beams > 1:  # of a single beam the tool frame is the same
-        tool.append(Suspect(TOOL, everything, rows.linear.pose))
+    tool = Suspect(TOOL, everything, rows.linear.pose)
     falls = list(map(alone, suspects))
     # Alone it explains no more than with the others: most good recordings, whose best of all tests is
     # what chance makes of their number, end here.
@@ -284,7 +280,9 @@ def _likely_move(rows: LinearRows, dof: int, known: bool, rough: bool) -> Move |
         return None
     if not rough and chi2_sf(MOUNT_DIM * most * dof / total, MOUNT_DIM) * tests > 1.0:
         return None
-    others = [*_planes(rows, everything), *tool]
+    others = [*_planes(rows, everything)]
+    if beams > 1:  # of a single beam the tool frame is the same
+        others.append(tool)
     suspects, falls = [*suspects, *others], [*falls, *map(alone, others)]
     tests = sum(tried for _, _, tried in falls)
     projection = Projection(rows, rows.prior)
@@ -297,15 +295,13 @@ def _likely_move(rows: LinearRows, dof: int, known: bool, rough: bool) -> Move |
     first = sorted(range(len(falls)), key=lambda number: -falls[number][0])[:4]
     moves = [tried(suspects[i], falls[i][1]) for i in first if falls[i][2]]
     # Planes follow a tool that was moved: it shows beside them, and from the right station on only.
-    for one in tool if rough else ():
-        splits = _splits(rows.position, one)
-        splits = splits[evenly(len(splits), max(NUMBERS_AT_ONCE // one.J.size, MOST_SPLITS))]
+    splits = _splits(rows.position, tool)
+    if rough and beams > 1 and len(splits):
+        splits = splits[evenly(len(splits), max(NUMBERS_AT_ONCE // tool.J.size, MOST_SPLITS))]
         tests += len(splits)
-        at_each = [tried(one, split) for split in splits.tolist()]
-        moves += sorted(at_each, key=lambda move: -move.share)[:1]
+        moves.append(max((tried(tool, i) for i in splits.tolist()), key=lambda move: move.share))
     if not min(moves, key=lambda move: move.criterion).clear:
         return None
-    moves = sorted(moves, key=lambda move: move.criterion)[:4]
     moves = [_narrowed(move, rows, tried) for move in moves]
     best = min(moves, key=lambda move: move.criterion)
     # Or the beam reads something else than one of the planes, wherever and whenever it is measured.

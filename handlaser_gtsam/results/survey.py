@@ -265,9 +265,9 @@ class SurveyCalibration(Result):
     warnings : tuple of CalibrationWarning
     chi2, dof : float, int
     without : SurveyCalibration, optional
-        The same without the relations that the readings contradict, and without all of those that may
-        be false in place of each other: then `undetermined` where only these know a number. None where
-        there are none, or where nothing leads to a start without them.
+        The same without the relations that the readings contradict, rivals included: `undetermined`
+        where only these know a number. None where there are none, or where nothing leads to a start
+        without them.
     """
 
     status: Status

@@ -159,8 +159,8 @@ def _accused(
     # and the same times a number that tells whose shot belongs to a pose.
     carried = np.column_stack((np.ones(count), 1.0 + np.arange(count) / count))
     carrier = stations.recording(carried)
-    # As they are stated, poses need no reason: along what a motion leaves open a start may be far.
-    now = _misfit(rows, 1.0, as_stated=True) / variance if variance else np.inf
+    # Along what a motion leaves open, a start from poses that are right may be far.
+    now = _misfit(rows, 1.0, np.inf) / variance if variance else np.inf
     if now <= FITS:
         return ()
 
@@ -174,7 +174,11 @@ def _accused(
         best = min((value for value, _ in found), default=np.inf)
         # Of a table nothing is suspected: a range offset fits twice better with other angles, too.
         better = BETTER if cure is CURE else MUCH_BETTER
-        if best <= min(now / better, POOR_START**2):
+        if best > min(now / better, POOR_START**2):
+            continue
+        # What is stated gets all that may lead to a start before it is refused.
+        now = min(now, _misfit(rows, 1.0, np.inf, last_resort=True) / variance)
+        if now > FITS and best <= now / better:
             # Of several ways those are named whose misfit is within this factor of the least.
             words = " or ".join(words for value, words in found if value <= 4.0 * best)
             more = f", and lengths of {shots.name} as they are read"
@@ -222,7 +226,8 @@ def _misfits_of_directions(survey: Survey, shots: Shots) -> Iterator[tuple[float
         return _misfit_of(survey, replace(shots, across=normalized(shots.across * factors)))
 
     def of_tangents(logarithm: float) -> float:
-        return misfit(*[float(np.exp(logarithm))] * 2, 1.0)
+        # What misfits by more than readings vary is no fit, and a search cannot use infinity.
+        return min(misfit(*[float(np.exp(logarithm))] * 2, 1.0), 1.0)
 
     what = f"the {'zones' if shots.kind == 'array' else 'points'} of {shots.name}"
     yield (
@@ -270,18 +275,17 @@ def _part(survey: Survey, one: Shots) -> SurveyRows:
     return rows_of(Survey(survey.stations, (one.part(some),)))
 
 
-def _misfit(rows: SurveyRows, scale: float, *, as_stated: bool = False) -> float:
+def _misfit(
+    rows: SurveyRows, scale: float, reach: float = FAR_BEAM, *, last_resort: bool = False
+) -> float:
     """Return the squared residual below which `GOOD` of the readings are, as if it were Gaussian [m^2].
 
-    It is infinite without a start, or, unless rows are `as_stated`, where the sensor lies farther from
-    the hand than `FAR_BEAM`, in lengths that are multiplied by `scale`.
+    It is infinite without a start, or where the sensor lies farther from the hand than a `reach` [m],
+    in lengths that are multiplied by `scale`.
     """
     sigmas: Mapping[tuple[str, int], float] = {(SENSOR.name, 0): UNIT_SIGMA}
-    values, without = start_of(rows, sigmas, last_resort=as_stated)
-    if without:
-        return np.inf
-    far = scale * np.linalg.norm(pose_of(values[SENSOR.name][0, 0])[1]) > FAR_BEAM
-    if far and not as_stated:
+    values, without = start_of(rows, sigmas, last_resort=last_resort)
+    if without or scale * np.linalg.norm(pose_of(values[SENSOR.name][0, 0])[1]) > reach:
         return np.inf
     blocks, _ = blocks_of(rows.items, sigmas, values)
     e = [block.ranges.evaluate(values).columns[-1] for block in blocks if isinstance(block, Mixed)]

@@ -127,7 +127,7 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
         ]
         explained = [error.code for error in found if error.explained_by]
         if not clear:
-            return f"none but what the displaced beam explains ({some(explained, NAMES_IN_LINE)})"
+            return f"none but what the displacement explains ({some(explained, NAMES_IN_LINE)})"
         return "; ".join(clear) + (
             f" (which explains {some(explained, NAMES_IN_LINE)})" if explained else ""
         )
