@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
+from benchmarks import arm_errors
 from handlaser_gtsam.results.warnings import DISPLACED
 
 PLANES = np.array([[0.1, 0.2, 1.0, 0.05], [1.0, -0.3, 0.4, -0.6], [-0.4, 1.0, 0.5, -0.5]])
@@ -155,6 +156,15 @@ def test_a_tool_frame_that_changed_between_plates_is_named(seed, length):
     assert warning.values["shift"] == pytest.approx(length, rel=0.2)
     assert found.verdict.code == "systematic-error"
     assert "the tool was moved" in found.verdict.sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 9])
+def test_an_arm_that_errs_is_no_tool_that_was_moved(seed):
+    """Though its poses are stated as exact, and it errs by three times as much as is usual."""
+    scene = arm_errors.Scene(arm_errors.Case("beams", True, False, 3.0), seed)
+    found = hl.calibrate(scene.recording(), hl.Noise(None, 0.0, 0.0))
+    assert not any(one.code == DISPLACED for one in found.warnings)
 
 
 @pytest.mark.slow

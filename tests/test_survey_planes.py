@@ -120,12 +120,13 @@ def test_the_plane_of_the_label_needs_not_fill_most_of_the_view(scene):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 3, 16])
+@pytest.mark.parametrize("seed", [2, 4, 16])
 def test_wrong_labels_do_no_harm_where_a_scan_sees_several_walls(seed):
     """Where the wall that is named is in view it counts, and else the shot is rejected.
 
-    Most starts of the first are wrong. Rays of the others graze the wall that is named: of the second
-    there was no minimum beside them, and the third seemed to be moved by 4 m.
+    Rays of the first and the last graze the wall that is named: one such shot came back, as what it
+    alone decides agrees with anything, and another moved the sensor by 4 m. Parts of the second have to
+    begin with the planes as they were read.
     """
     rig = rigs_by_scene.scanner(seed, scene="room", hand_sigma=(5e-5, 1e-4))
     survey = survey_of(rig)

@@ -403,10 +403,11 @@ def first_state(
     if ahead is not None and all_redundant(ahead):
         quick = state_of(ahead, noise)
         if begin_quickly(quick) and _surely_fits(quick):
-            # Of a plane that errors of the sensor bend, a part alone may fit: on with all of it.
+            # Of a plane that errors of the sensor bend, a part alone may fit: on with all of it, where
+            # that rejects no more than it should.
             there = replace(state, values=quick.values)
             leave_out_gross(there)
-            if _surely_fits(there):
+            if _surely_fits(there) and not _doubtful(there):
                 return there
     seen = _begun_off_balls(state)
     if seen is not None:

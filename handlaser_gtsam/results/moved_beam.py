@@ -181,31 +181,32 @@ def moved_beam(
 def _moved_tool(
     move: Move, rows: LinearRows, problem: Problem, fit: Fit, beams: Mapping[str, Beam]
 ) -> CalibrationWarning | None:
-    """Warn of a tool that was moved by far more than the hand errs; None of less.
+    """Warn of a tool that moved a spot by far more than errors of the hand do; None of less.
 
     Errors of an arm that change with its pose are others before each plate, too.
     """
     turn, shift = move.size[:3], move.size[3:]
     noise, (of_shift, of_turn) = problem.noise, problem.noise.standstill
-    turned, shifted = float(np.linalg.norm(turn)), float(np.linalg.norm(shift))
-    far = shifted > TEN_TIMES * max(of_shift, noise.pose_translation_prior)
-    if not (far or turned > TEN_TIMES * max(of_turn, noise.pose_rotation_prior)):
-        return None
-    shifts, times = [], []
-    for number, name in enumerate(problem.names.sorted_beams()):
-        r, v = rows.at.locations[number], rows.at.directions[number]
-        shifts.append(float(np.linalg.norm(shift + np.cross(turn, r + fit.median_reading * v))))
+    of_shift, of_turn = (
+        max(of_shift, noise.pose_translation_prior),
+        max(of_turn, noise.pose_rotation_prior),
+    )
+    spots = rows.at.locations + fit.median_reading * rows.at.directions
+    shifts = np.linalg.norm(shift + np.cross(turn, spots), axis=1)
+    by_hand = np.hypot(of_shift, of_turn * np.linalg.norm(spots, axis=1))
+    times = []
+    for name, moved in zip(problem.names.sorted_beams(), shifts.tolist(), strict=True):
         covariance = beams[name].covariance
         if covariance is not None:
             _, J = spot_of(beams[name].coordinates, fit.median_reading)
-            times.append(shifts[-1] / radius(J @ covariance @ J.T))
-    if not times:
+            times.append(moved / radius(J @ covariance @ J.T))
+    if not times or (shifts <= TEN_TIMES * by_hand).all():
         return None
     values: dict[str, float | str] = {
         "target": "the tool",
         "station": problem.recording.station_names[move.position],
-        "shift": max(shifts),
-        "turn_deg": float(np.degrees(turned)),
+        "shift": float(shifts.max()),
+        "turn_deg": float(np.degrees(np.linalg.norm(turn))),
         "p": move.p_value,
         "times": max(times),
     }

@@ -177,7 +177,8 @@ def _accused(
         if best > min(now / better, POOR_START**2):
             continue
         # What is stated gets all that may lead to a start before it is refused.
-        now = min(now, _misfit(rows, 1.0, np.inf, last_resort=True) / variance)
+        if variance:
+            now = min(now, _misfit(rows, 1.0, np.inf, last_resort=True) / variance)
         if now > FITS and best <= now / better:
             # Of several ways those are named whose misfit is within this factor of the least.
             words = " or ".join(words for value, words in found if value <= 4.0 * best)
