@@ -297,6 +297,36 @@ def test_a_level_scanner_on_a_flat_floor_sees_no_wall_lean(walls):
 
 
 @pytest.mark.slow
+def test_a_level_scanner_is_determined_by_its_drawing_and_upright_walls():
+    """What is asked for is named until all of it is stated."""
+    survey, rng = vehicle("scanner", "planar", "vertical", tilt=0.0), np.random.default_rng(0)
+    true = mounted("eye", "scanner", 0.0, (0.1, -0.05, 0.3))[1]
+    drawn = true.copy()
+    drawn[:3, :3] = (
+        true[:3, :3] @ Rotation.from_rotvec(np.radians(0.3) * rng.normal(size=3)).as_matrix()
+    )
+    mount = hl.Known("mount", ("sensor:eye",), sigma=2e-3, sigma_angle=np.radians(0.3), pose=drawn)
+    walls = [
+        hl.Known("upright", (f"plane:{name}",), direction=[0, 0, 1], sigma_angle=np.radians(0.1))
+        for name in "ABC"
+    ]
+    found = hl.calibrate(survey)
+    assert all(f'relation = "{word}"' in found.message for word in ("mount", "upright"))
+    for known, asked in (((mount,), "upright"), (walls, "mount")):
+        found = hl.calibrate(replace(survey, known=tuple(known)))
+        assert found.status == "undetermined"
+        assert f'relation = "{asked}"' in found.message
+    assert "height of scanner eye" in found.message
+    found = hl.calibrate(replace(survey, known=(mount, *walls)))
+    assert found.verdict.code == "usable"
+    own = found.sensors["eye"]
+    turn = Rotation.from_matrix(true[:3, :3].T @ own.rotation).as_rotvec()
+    assert (np.abs(turn) < 5.0 * own.rotation_sigma).all()
+    assert (np.abs(own.location - true[:3, 3]) < 5.0 * own.location_sigma).all()
+    assert own.rotation_sigma.max() < np.radians(0.35)
+
+
+@pytest.mark.slow
 def test_the_example_is_determined_and_says_what_it_holds(handlaser):
     words = ["check", str(FOLDER / "poses.csv"), "--rig", str(FOLDER / "rig.toml")]
     code, out, err = handlaser(*words)

@@ -92,6 +92,11 @@ class PoorMotion(NamedTuple):
     axis: FloatArray
     upright: FloatArray
 
+    @property
+    def turning(self) -> bool:
+        """Whether the hand turns, about one axis."""
+        return self.kind in ("planar", "one axis")
+
 
 def poor_motion(readings: Readings) -> PoorMotion | None:
     """Recognise a motion that is poor by its kind; None for any other.
@@ -347,7 +352,7 @@ def named(
         return undetermined(parts), advice(parts)
     rest = [part for part in parts if not _explained(part, motion)]
     located = [part for part in parts if part.quantity == "location"]
-    turning = motion.kind in ("planar", "one axis")
+    turning = motion.turning
     if located and all(part in rest for part in located):
         if not (enough and turning and all(_along(part, motion) for part in located)):
             return undetermined(parts), advice(parts)

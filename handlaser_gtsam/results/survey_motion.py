@@ -1,7 +1,7 @@
 """What a survey leaves undetermined, in words: by the kind of its motion, by circles, or one by one."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import cast
 
 import numpy as np
@@ -85,6 +85,9 @@ def open_words(
     if lines:
         what, cures = (*what, *lines.values()), (*cures, CURE_OF_A_LINE)
         parts = tuple(p for p in parts if p.quantity != "turn" or p.name not in lines)
+    if motion is not None and motion.turning and _mounts_are_stated(rows, parts):
+        up = vector_words(motion.axis)
+        return (said("open:stated", up=up), *what), (said("cure:stated", up=up), *cures)
     level = {} if motion is None else _level(rows, found, motion, images)
     if motion is not None and level:
         names = some([f"{kind} {name}" for name, kind in level.items()], NAMES_IN_LINE)
@@ -155,6 +158,13 @@ def _words_of_images(
         for mount, name in names.items()
     ]
     return tuple(f"which way up {name} is: {image}" for name in names.values()), tuple(cures)
+
+
+def _mounts_are_stated(rows: SurveyRows, parts: Sequence[OpenPart]) -> bool:
+    """Tell whether nothing moves but planes, and mounts that are stated as far as they are known."""
+    stated = {rows.entities(one)[0] for one in rows.known if one.relation == "mount"}
+    names = {(family, rows.label((family, member))) for family, member in stated}
+    return all(p.kind == PLANE.name or (p.kind, p.name) in names for p in parts)
 
 
 def _level(
