@@ -318,7 +318,7 @@ def test_a_level_scanner_is_determined_by_its_drawing_and_upright_walls():
         assert f'relation = "{asked}"' in found.message
     assert "height of scanner eye" in found.message
     found = hl.calibrate(replace(survey, known=(mount, *walls)))
-    assert found.verdict.code == "usable"
+    assert found.usable
     own = found.sensors["eye"]
     turn = Rotation.from_matrix(true[:3, :3].T @ own.rotation).as_rotvec()
     assert (np.abs(turn) < 5.0 * own.rotation_sigma).all()
