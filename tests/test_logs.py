@@ -3,6 +3,7 @@
 import inspect
 import json
 import math
+import re
 import zipfile
 from dataclasses import fields, replace
 from typing import get_args
@@ -28,7 +29,7 @@ from benchmarks.log_conventions import (
 )
 from handlaser_gtsam.cli.convert import Log
 from handlaser_gtsam.files.rig_toml import LogTable, with_log_table
-from handlaser_gtsam.model.conventions import FORMATS, formats_of
+from handlaser_gtsam.model.conventions import ANGLES, FORMATS, formats_of
 
 
 def text_of(names, rows, extra=(), separator=","):
@@ -738,7 +739,7 @@ SIGNS = {
         "kuka",
         lambda x: x / [25.4, 25.4, 25.4, 1.0, 1.0, 1.0],
         {},
-        "--rotation ZYX --units in",
+        "--pose-format kuka --units in, ",
     ),
     "positions in centimetres": (
         "kuka",
@@ -767,6 +768,27 @@ def test_signs_of_a_wrong_convention_are_refused_and_the_right_one_named(tmp_pat
         hl.read_log(path, hl.LogFormat(pose_format=name, **given))
     assert words in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+UNITS = [("kuka", 1.0, "rad"), ("fanuc", 1.0, "rad"), ("kuka", 25.4, "deg"), ("ur", 1e-3, "rad")]
+"""A format, what its positions are divided by, and the unit in which its angles are written."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "divided", "angles"), UNITS)
+def test_options_that_are_named_read_the_file(tmp_path, name, divided, angles):
+    recording, known = log_recording("paper", "tool down"), FORMATS[name]
+    rows = numbers(recording, known) / np.repeat([divided, 1.0], 3)
+    rows[:, 3:] *= ANGLES[known.angles] / ANGLES[angles]
+    extra = [("plane", recording.plane_labels)]
+    extra += [(f"range_{b}", d.tolist()) for b, d in zip("ab", recording.ranges.T, strict=False)]
+    path = tmp_path / "log.csv"
+    path.write_text(text_of(CONTROLLERS[name].names, rows, extra))
+    with pytest.raises(hl.InputError) as caught:
+        hl.read_log(path, hl.LogFormat(pose_format=name))
+    stated = dict(re.findall("--(pose-format|units|angles) ([a-z]+)", str(caught.value)))
+    found = hl.read_log(path, hl.LogFormat(**{k.replace("-", "_"): v for k, v in stated.items()}))
+    assert_poses(found, recording.world_R_hand, recording.world_t_hand)
 
 
 @pytest.mark.slow

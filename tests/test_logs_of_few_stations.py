@@ -49,7 +49,7 @@ def log_of(path, seed, *, beams, plates, stations, written="", outliers=0.0):
     return path
 
 
-NAMED = {"reversed": "--pose-format fanuc", "inverted": "--inverted"}
+NAMED = {"reversed": "--pose-format mitsubishi", "inverted": "--inverted"}
 
 
 @pytest.mark.slow

@@ -189,13 +189,33 @@ def formats_of(meaning: tuple[str, str, str]) -> list[str]:
 
 
 def called(convention: Convention) -> str:
-    """Return the options that state a convention: by the names of formats, or spelled out."""
-    names = formats_of(convention.meaning)
+    """Return the options that state a convention of columns that are called as it says.
+
+    They are the name of a format, with its units where these are others, or all is spelled out.
+    """
+    alike = [name for name, one in FORMATS.items() if shares_columns(one, convention)]
+    names = [name for name in formats_of(convention.meaning) if name in alike]
     if names:
         others = f" (as {', '.join(names[1:])})" if names[1:] else ""
         return f"--pose-format {names[0]}{others}"
+    units = f" --units {convention.units}"
     angles = f" --angles {convention.angles}" if convention.has_angles else ""
-    return f"--rotation {convention.rotation} --units {convention.units}{angles}"
+    base = next((name for name in alike if FORMATS[name].rotation == convention.rotation), None)
+    if base is not None:
+        known = FORMATS[base]
+        units = units if known.units != convention.units else ""
+        angles = angles if known.angles != convention.angles else ""
+        return f"--pose-format {base}{units}{angles}"
+    words = f"--rotation {convention.rotation}{units}{angles}"
+    spelled = Convention(convention.rotation, columns=spelled_columns(convention.rotation))
+    if not shares_columns(spelled, convention):
+        words += " --pose-columns NAMES"
+    return words
+
+
+def shares_columns(one: Convention, other: Convention) -> bool:
+    """Tell whether the columns of a rotation may be called alike; so they may where nobody says."""
+    return not (one.columns and other.columns) or not set(one.columns).isdisjoint(other.columns)
 
 
 def spelled_columns(rotation: str) -> tuple[tuple[str, ...], ...]:

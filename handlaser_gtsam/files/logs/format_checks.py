@@ -51,13 +51,13 @@ def convention_of(given: "LogFormat") -> Convention:
     InputError
         A rotation that is none.
     """
-    if not given.rotation:
-        known = FORMATS[given.pose_format or "ros"]
-        return Convention(
-            known.rotation, given.units or known.units, given.angles or known.angles, known.columns
-        )
-    columns = spelled_columns(given.rotation)
-    return Convention(given.rotation, given.units or "m", given.angles or "rad", columns)
+    known = FORMATS[given.pose_format or "ros"]
+    if given.rotation:
+        known = Convention(given.rotation, "m", "rad", spelled_columns(given.rotation))
+    columns = () if given.pose_columns else known.columns
+    return Convention(
+        known.rotation, given.units or known.units, given.angles or known.angles, columns
+    )
 
 
 def _check_kinds(given: "LogFormat") -> None:
