@@ -1214,3 +1214,20 @@ def test_scans_that_stand_under_several_labels_are_said(labels, same, noise, nam
     assert bool(said) == bool(named)
     if said:
         assert "such as that of stations 1 (plane:a), 2 (plane:b)" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("k2", [0.02, -0.05])
+def test_a_range_error_with_which_no_shot_fits_is_named(k2):
+    """Twenty times the noise at the ranges of these scans."""
+    survey = survey_of(rigs_by_rays.scanner(0))
+    (shots,) = survey.shots
+    d = shots.reading
+    for _ in range(30):  # the fixed point of s = d + k2 d^2
+        d = shots.reading - k2 * d**2
+    found = hl.calibrate(replace(survey, shots=(replace(shots, reading=d),)))
+    (named,) = [one for one in found.warnings if one.code == "range-error"]
+    assert not found.usable
+    assert named.message in found.verdict.sentence
+    assert named.values["free"] == "k2"
+    assert named.values["size"] == pytest.approx(k2, rel=0.01)

@@ -397,17 +397,17 @@ def first_state(
             if beside.minimize() and np.median(beside.misfits()) <= GROSS:
                 return beside
     quick = replace(state)
-    if all_redundant(rows) and begin_quickly(quick, GROSS) and _surely_fits(quick):
+    if all_redundant(rows) and begin_quickly(quick, GROSS) and surely_fits(quick):
         return quick
     ahead = with_planes_ahead(rows)
     if ahead is not None and all_redundant(ahead):
         quick = state_of(ahead, noise)
-        if begin_quickly(quick) and _surely_fits(quick):
+        if begin_quickly(quick) and surely_fits(quick):
             # Of a plane that errors of the sensor bend, a part alone may fit: on with all of it, where
             # that rejects no more than it should.
             there = replace(state, values=quick.values)
             leave_out_gross(there)
-            if _surely_fits(there) and not _doubtful(there):
+            if surely_fits(there) and not _doubtful(there):
                 return there
     seen = _begun_off_balls(state)
     if seen is not None:
@@ -479,14 +479,14 @@ def _begun_without_relations(state: SurveyState) -> SurveyState | None:
     rows = state.rows
     # Sizes that were learned are of what the relations do to the fit.
     free = replace(state_of(replace(rows, known=()), state.noise), tied=False)
-    if not (begin_quickly(free) and _surely_fits(free)):
+    if not (begin_quickly(free) and surely_fits(free)):
         return None
     complete_bodies(rows, free.values)
     free.rows = replace(free.rows, known=rows.known)
     return free
 
 
-def _surely_fits(state: SurveyState) -> bool:
+def surely_fits(state: SurveyState) -> bool:
     """Tell whether the shots of every sensor and beam, and before every target, fit as they should."""
     return all(misfit <= SURELY_FITS for misfit, _, _ in _typical_misfits(state))
 
@@ -545,11 +545,11 @@ def _begun_off_balls(state: SurveyState) -> SurveyState | None:
         return replace(state, rows=own, used=np.ones(len(own.items), dtype=bool))
 
     part = of(~off)
-    if not (off.any() and begin_quickly(part, GROSS) and _surely_fits(part)):
+    if not (off.any() and begin_quickly(part, GROSS) and surely_fits(part)):
         return None
     whole = replace(state, values=part.values)
     leave_out_gross(whole)
-    if _surely_fits(whole):  # the balls are seen: something else keeps a quick start away
+    if surely_fits(whole):  # the balls are seen: something else keeps a quick start away
         return None
     begun = replace(state, values=part.values, used=~off)
     begun.used[~off] = part.used

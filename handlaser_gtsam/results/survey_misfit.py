@@ -20,7 +20,7 @@ import numpy as np
 
 from ..arrays import FloatArray, evenly
 from ..data.noise import Noise
-from ..data.survey import Known, Shots, Survey, kind_of, normal_label
+from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_label
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import MOST_REJECTED, Estimate
 from ..estimation.survey import (
@@ -30,6 +30,7 @@ from ..estimation.survey import (
     begin_quickly,
     estimate_survey,
     state_of,
+    surely_fits,
 )
 from ..estimation.survey_outliers import (
     GROSS,
@@ -41,10 +42,11 @@ from ..estimation.survey_outliers import (
 from ..estimation.survey_rows import Entity, SurveyRows, rows_of
 from ..estimation.survey_state import SurveyState
 from ..model.condensed_shots import LARGEST_BALL, Stated
-from ..model.distributions import FAMILY_LEVEL, f_sf, p_words
+from ..model.distributions import FAMILY_LEVEL, f_sf, gaussian_sf, p_words
 from ..model.equation import plausible_factors
 from ..model.families import BEAM, FAMILIES, OF_RANGE_ERROR, PLANE
 from ..model.sensors.kinds import KINDS
+from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE
 from ..model.targets_in_shots import condensed_shots, surely_balls
 from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, ROUGH_CUT, WIDEST_CONE
@@ -270,6 +272,39 @@ def _misses(rows: SurveyRows, clear: SurveyEstimate, member: int) -> FloatArray:
     return miss
 
 
+def curved(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of sensors whose shots fit each other where k1 and k2 are unknowns, and not without them.
+
+    Small ones show in score tests of shots that fit.
+    """
+    survey, given = found.rows.survey, found.given
+    more = [replace(one, free=tuple(sorted({*one.free, "k1", "k2"}))) for one in survey.shots]
+    survey = replace(survey, shots=tuple(more))
+    state = state_of(rows_of(survey, given), given)
+    if not (begin_quickly(state) and surely_fits(state)):
+        return
+    free = estimate_survey(survey, given, begun=state).estimate
+    if free.status != "converged":
+        return
+    sigma = dict(zip(free.names, np.sqrt(np.diagonal(free.covariance)).tolist(), strict=True))
+    for member, shots in enumerate(survey.shots):
+        k = free.values[SENSOR.name][member, 12:][[RAY_ERRORS.index(one) for one in ("k1", "k2")]]
+        sizes = {
+            code: (float(size), sigma[f"{SENSOR.name}[{member}].{code}"])
+            for code, size in zip(("k1", "k2"), k, strict=True)
+        }
+        far = {
+            code: abs(size) / s for code, (size, s) in sizes.items() if abs(size) > FAR_SIGMAS * s
+        }
+        if not far or not plausible_factors(k, shots.reading).all():
+            continue
+        code = max(far, key=lambda one: far[one])
+        which = {"sensor": shots.name, "code": code, "alike": "", "free": '", "'.join(far)}
+        p = 2.0 * float(gaussian_sf(far[code]))
+        values = dict(zip(("size", "sigma"), sizes[code], strict=True))
+        yield warned("range-error", {**which, **values, "p": p}, likely=p_words(p, 1), also="")
+
+
 def no_fit(
     rows: SurveyRows, fit: FirstFit, causes: Sequence[CalibrationWarning], given: Noise
 ) -> CalibrationWarning:
@@ -279,7 +314,7 @@ def no_fit(
     names, have = some(plain, NAMES_IN_LINE), "has" if len(plain) == 1 else "have"
     hints = {"kind": plain, "known": rows.known, "groove": "groove" in map(kind_of, labels)}
     more = [said(f"survey-checks:{of}", names=names, have=have) for of in hints if hints[of]]
-    known = [one.message for one in causes if one.code in (*MISREAD, DISPLACED)]
+    known = [one.message for one in causes if one.code in (*MISREAD, DISPLACED, "range-error")]
     known += _listed_twice(rows)
     what = "; ".join(known) or "".join((said("survey-checks"), *more))
     noise = some(first_noise(rows, fit, given), NAMES_IN_LINE)

@@ -60,6 +60,7 @@ from .survey_misfit import (
     beside_ball,
     contradictions,
     counted_towards,
+    curved,
     implausible,
     misheard,
     mislabelled,
@@ -101,6 +102,8 @@ def survey_warnings(
     moved: tuple[CalibrationWarning, ...] = ()
     if found.estimate.status == "converged" or not (causes or false):
         moved = tuple(_displaced(found, [*sensors.values(), *beams.values()]))
+    if not (found.fits or causes or false or moved):
+        causes = tuple(curved(found))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes or moved, found.given)
     elif not causes:
