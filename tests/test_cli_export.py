@@ -76,14 +76,20 @@ def test_systematic_errors_that_were_found_are_repeated(handlaser, tmp_path):
     assert err == f"{WARNED}WARNING: systematic error sag: a sag of 0.1 mm; use a flatter plate\n"
 
 
-def test_a_result_that_is_not_usable_says_so(handlaser, tmp_path):
+@pytest.mark.parametrize("to", BEAMS)
+def test_a_result_that_is_not_usable_says_so(handlaser, tmp_path, to):
+    """On the screen, and in a comment: who reads the file later has not seen that."""
     record = json.loads(calibrated().model_dump_json())
     words = "Not usable, outside the limits: rms 0.3 mm above 0.2 mm."
     record["verdict"] = {"usable": False, "sentence": words}
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(record))
-    code, _, err = handlaser("export", path, "--to", "kuka")
+    words_of_format = NEEDED.get(to, [])
+    code, out, err = handlaser("export", path, "--to", to, *words_of_format)
     assert (code, err) == (0, f"WARNING: {words}\n{WARNED}")
+    assert "NOT USABLE" in out
+    path.write_text(calibrated().model_dump_json())
+    assert "NOT USABLE" not in handlaser("export", path, "--to", to, *words_of_format)[1]
 
 
 def test_what_the_verdict_says_is_not_said_again(handlaser, tmp_path):

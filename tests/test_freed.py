@@ -109,6 +109,12 @@ def test_scipy_agrees_where_readings_of_which_an_error_is_made_are_rejected(code
     agrees(found)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_errors_that_are_unknowns_make_no_sigma_too_large(seed):
+    """They take up a part of the residuals: of 144 readings some 83 degrees of freedom are left."""
+    assert codes(freed(recorded(Scene(seed), seed), "displaced")) == []
+
+
 @pytest.mark.slow
 def test_scipy_knows_every_error_and_all_of_them_at_once():
     assert set(ERRORS) == {code for code, effect in EFFECTS.items() if effect.can_be_freed}

@@ -194,8 +194,8 @@ def called(convention: Convention) -> str:
     They are the name of a format, with its units where these are others, or all is spelled out.
     """
     alike = [name for name, one in FORMATS.items() if shares_columns(one, convention)]
-    names = [name for name in formats_of(convention.meaning) if name in alike]
-    if names:
+    names = sorted(formats_of(convention.meaning), key=lambda name: name not in alike)
+    if names and names[0] in alike:
         others = f" (as {', '.join(names[1:])})" if names[1:] else ""
         return f"--pose-format {names[0]}{others}"
     units = f" --units {convention.units}"

@@ -299,10 +299,11 @@ def curved(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         if not far or not plausible_factors(k, shots.reading).all():
             continue
         code = max(far, key=lambda one: far[one])
-        which = {"sensor": shots.name, "code": code, "alike": "", "free": '", "'.join(far)}
+        size, of_size = sizes[code]
         p = 2.0 * float(gaussian_sf(far[code]))
-        values = dict(zip(("size", "sigma"), sizes[code], strict=True))
-        yield warned("range-error", {**which, **values, "p": p}, likely=p_words(p, 1), also="")
+        which = {"sensor": shots.name, "code": code, "alike": "", "free": '", "'.join(far)}
+        values = {"size": size, "sigma": of_size, "p": p}
+        yield warned("range-error", {**which, **values}, likely=p_words(p, 1), also="")
 
 
 def no_fit(

@@ -176,7 +176,9 @@ def fit_warnings(
         yield warned("far-beam", {"distance_m": far})
     yield from _same_mounts(readings, solution.best, fit, names)
     treated = solution.variances is not None and solution.variances.pose is not None
-    yield from _wrong_sigmas(fit, solution.redundancy, as_one, treated=treated)
+    # Systematic errors that are unknowns count in the degrees of freedom of the fit alone.
+    spare = min(solution.redundancy, fit.dof)
+    yield from _wrong_sigmas(fit, spare, as_one, treated=treated)
     # Of a poor fit, the errors of the poses were not looked at.
     if not treated and fit.rms <= NO_FIT * readings.spread():
         sigmas = _going_together(fit)

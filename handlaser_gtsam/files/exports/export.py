@@ -175,7 +175,9 @@ def export_text(
         what = CalibrationFile.model_validate_json(calibration_text(what))
     if what.status != "converged":
         raise NotConvergedError(what.status, what.message)
-    return _text(what if isinstance(what, SurveyFile) else mounts_of(what), to, options)
+    usable = what.verdict is None or what.verdict.usable
+    mounts = what if isinstance(what, SurveyFile) else mounts_of(what)
+    return _text(mounts, to, options, usable=usable)
 
 
 def write_export(
@@ -196,7 +198,8 @@ def write_export(
     write_text(path_of(path), export_text(what, to, options))
 
 
-def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:
+def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions, *, usable: bool) -> str:
+    """Return the text of a format, whose first comment says so of what is not `usable`."""
     axis: Axis = (options.axis or "z") if to in TOOLS else "x"  # x is what sensor_msgs/Range wants
     beams = exported_beams(what, options.beams, axis, float(options.at_reading))
     if isinstance(what, SurveyFile) and to not in (*LINKED, *TOOLS):
@@ -219,6 +222,7 @@ def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:
         along = f"frame of sensor, {along}" if with_beams else "frame of sensor"
     about, frames, roll = rendered(
         "about",
+        usable=usable,
         version=__version__,
         of_beams=of_beams,
         with_beams=with_beams,
@@ -229,6 +233,7 @@ def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:
     text = rendered(
         to,
         beams=beams,
+        usable=usable,
         about=about,
         frames=frames,
         roll=roll,
