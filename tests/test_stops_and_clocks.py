@@ -472,3 +472,29 @@ def test_noise_of_readings_is_no_motion_at_the_ends_of_stops(stops, samples, ste
         log = LogRows(lines_of(Path("made.bag"), len(read)), tuple("abcdefgh"), read)
         alarms += len(_moving_readings(log, station, hl.LogFormat(stands=True, stand_mm=0.1)))
     assert alarms <= 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("late", [0.5, -0.5, 0.6])
+def test_a_lag_of_much_of_a_step_is_named_where_the_hand_does_not_stop(late):
+    """Readings at times between the poses, on a way that bends; a straight one leaves a tenth of it."""
+    rng = np.random.default_rng(SEED)
+    r, v = BEAMS[0], BEAMS[1] / np.linalg.norm(BEAMS[1], axis=1, keepdims=True)
+    n = np.array([[0.05, 0.1, 1.0], [0.3, -0.2, 1.0], [-0.3, 0.25, 1.0]])
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    plane, time = np.repeat(np.arange(3), 60), np.arange(180.0)
+    rate, phase = rng.uniform(0.2, 0.6, 6), rng.uniform(0.0, 6.0, 6)
+
+    def poses(at):
+        waves = np.sin(rate * at[:, None] + phase)
+        return Rotation.from_rotvec(0.25 * waves[:, :3]).as_matrix(), 0.1 * waves[:, 3:]
+
+    R, t = poses(time + late)
+    normal, x = n[plane], t[:, None] + r @ np.swapaxes(R, 1, 2)
+    away = 0.4 - np.einsum("si,sbi->sb", normal, x)
+    d = away / np.einsum("si,sij,bj->sb", normal, R, v) + 3e-5 * rng.normal(size=away.shape)
+    recording = hl.Recording(*poses(time), d, tuple(f"p{p}" for p in plane), ("a", "b"))
+    found = hl.calibrate(recording, hl.Noise(3e-5, 5e-5, 2e-4))
+    (mistake,) = [one for one in found.warnings if one.code == "file-mistake"]
+    assert mistake.values["share"] == pytest.approx(late, abs=0.02)
+    assert "--free lag" in found.verdict.sentence

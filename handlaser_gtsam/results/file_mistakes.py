@@ -25,7 +25,7 @@ from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits,
 
 PROMISING = 9.0
 """Another reading of the file is solved in full where a quick look makes residuals smaller by this."""
-SHARES = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)
+SHARES = (-0.7, -0.4, -0.2, -0.1, 0.1, 0.2, 0.4, 0.7)
 """Parts of the way to the next station, or back to the one before, at which readings may be taken."""
 SPLITS = 9
 """Evenly spaced stations that are tried as the first of a second plate; then the best is refined."""
@@ -365,16 +365,23 @@ def _on_the_way(recording: Recording) -> Iterator[Rereading]:
 def _moved_on(recording: Recording, share: float) -> Recording:
     """Return a recording whose poses are moved a part of the way to the next of the same plane.
 
-    Or, where it is negative, towards the one before. The last, or the first, of a plane stays.
+    Or, where it is negative, towards the one before: along a parabola through the three, as a hand that
+    does not stop moves. The first and the last of a plane move along a straight line.
     """
     plane, count = recording.plane_of_station, len(recording.plane_of_station)
-    other = np.clip(np.arange(count) + (1 if share > 0.0 else -1), 0, count - 1)
-    other = np.where(plane[other] == plane, other, np.arange(count))
     R, t = recording.world_R_hand, recording.world_t_hand
-    part = abs(share)
-    turn = Rotation.from_matrix(np.swapaxes(R, 1, 2) @ R[other]).as_rotvec()
-    moved = R @ Rotation.from_rotvec(part * turn).as_matrix()
-    return replace(recording, world_R_hand=moved, world_t_hand=t + part * (t[other] - t))
+    steps = np.zeros((2, count, 6))
+    there = np.zeros((2, count, 1), dtype=bool)
+    for side, by in enumerate((-1, 1)):
+        other = np.clip(np.arange(count) + by, 0, count - 1)
+        turn = Rotation.from_matrix(np.swapaxes(R, 1, 2) @ R[other]).as_rotvec()
+        steps[side] = np.hstack((turn, t[other] - t))
+        there[side, :, 0] = (plane[other] == plane) & (other != np.arange(count))
+    back = np.where(there[0], steps[0], np.where(there[1], -steps[1], 0.0))
+    on = np.where(there[1], steps[1], -back)
+    moved = 0.5 * share * (on - back) + 0.5 * share**2 * (on + back)
+    turned = R @ Rotation.from_rotvec(moved[:, :3]).as_matrix()
+    return replace(recording, world_R_hand=turned, world_t_hand=t + moved[:, 3:])
 
 
 def _best_split(part: Recording, undone: Callable[..., Recording]) -> int | None:
