@@ -475,7 +475,7 @@ def test_noise_of_readings_is_no_motion_at_the_ends_of_stops(stops, samples, ste
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("late", [0.5, -0.5, 0.6])
+@pytest.mark.parametrize("late", [0.4, -0.4, 0.6])
 def test_a_lag_of_much_of_a_step_is_named_where_the_hand_does_not_stop(late):
     """Readings at times between the poses, on a way that bends; a straight one leaves a tenth of it."""
     rng = np.random.default_rng(SEED)
