@@ -193,7 +193,7 @@ def called(convention: Convention) -> str:
 
     They are the name of a format, with its units where these are others, or all is spelled out.
     """
-    alike = [name for name, one in FORMATS.items() if shares_columns(one, convention)]
+    alike = [name for name, one in FORMATS.items() if shares_columns(one.columns, convention)]
     names = sorted(formats_of(convention.meaning), key=lambda name: name not in alike)
     if names and names[0] in alike:
         others = f" (as {', '.join(names[1:])})" if names[1:] else ""
@@ -207,15 +207,14 @@ def called(convention: Convention) -> str:
         angles = angles if known.angles != convention.angles else ""
         return f"--pose-format {base}{units}{angles}"
     words = f"--rotation {convention.rotation}{units}{angles}"
-    spelled = Convention(convention.rotation, columns=spelled_columns(convention.rotation))
-    if not shares_columns(spelled, convention):
+    if not shares_columns(spelled_columns(convention.rotation), convention):
         words += " --pose-columns NAMES"
     return words
 
 
-def shares_columns(one: Convention, other: Convention) -> bool:
-    """Tell whether the columns of a rotation may be called alike; so they may where nobody says."""
-    return not (one.columns and other.columns) or not set(one.columns).isdisjoint(other.columns)
+def shares_columns(columns: tuple[tuple[str, ...], ...], convention: Convention) -> bool:
+    """Tell whether a rotation may have one of some columns; any, where its convention has none."""
+    return not convention.columns or not set(columns).isdisjoint(convention.columns)
 
 
 def spelled_columns(rotation: str) -> tuple[tuple[str, ...], ...]:

@@ -278,6 +278,8 @@ def curved(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     Small ones show in score tests of shots that fit.
     """
     survey, given = found.rows.survey, found.given
+    if not survey.shots:
+        return
     more = [replace(one, free=tuple(sorted({*one.free, "k1", "k2"}))) for one in survey.shots]
     survey = replace(survey, shots=tuple(more))
     state = state_of(rows_of(survey, given), given)

@@ -164,7 +164,8 @@ def _mounts_are_stated(rows: SurveyRows, parts: Sequence[OpenPart]) -> bool:
     """Tell whether nothing moves but planes, and mounts that are stated as far as they are known."""
     stated = {rows.entities(one)[0] for one in rows.known if one.relation == "mount"}
     names = {(family, rows.label((family, member))) for family, member in stated}
-    return all(p.kind == PLANE.name or (p.kind, p.name) in names for p in parts)
+    moved = (p.kind == PLANE.name or (p.kind, p.name) in names for p in parts)
+    return bool(names) and all(moved)
 
 
 def _level(
