@@ -191,7 +191,7 @@ def _improvement(
             return better_sigmas(float(warnings[f"sigmas-too-{how}"].values["times"]))
     if BY_POSE in warnings:
         return improvement_of(BY_POSE)
-    if FEW in warnings:
+    if FEW in warnings and "spare" in warnings[FEW].values:
         return improvement_of("more-stations:few", dof=f"{warnings[FEW].values['spare']:.1f}")
     share = _pose_share(result)
     if share > DECIDES:

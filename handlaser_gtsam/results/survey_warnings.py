@@ -79,6 +79,7 @@ from .warnings import (
     contradicted_poses,
     contradicted_readings,
     large_pose_errors,
+    more_than,
 )
 
 if TYPE_CHECKING:
@@ -297,15 +298,21 @@ def unread_stations(rows: SurveyRows) -> Iterator[CalibrationWarning]:
 
 
 def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
-    """Warn of mounts whose standard deviations rest on what noise is usual: few readings tell it."""
-    learned = np.isnan(found.stated.sigma)
-    if found.estimate.status != "converged" or not learned.any():
+    """Warn of hardly more readings than unknowns, which a gross error may pass among.
+
+    Where noise is learned from as few, its standard deviations rest on what noise is usual.
+    """
+    if found.estimate.status != "converged":
         return
     names = [*found.rows.names_of_noise(), "the aiming at points"]
-    spare, usual = found.redundancy(), usual_noise(found.rows, found.given).sigma
-    for i in np.flatnonzero(learned & (spare < FEW_DEGREES)).tolist():
+    usual, learned = usual_noise(found.rows, found.given).sigma, np.isnan(found.stated.sigma)
+    tell, check = found.redundancy()
+    few = np.flatnonzero(learned & (tell < FEW_DEGREES)).tolist()
+    for i in few:
         sigma = {"sigma": float(found.noise.sigma[i]), "usual": float(usual[i])}
-        yield warned(f"{FEW}:survey", {"source": names[i]}, spare=float(spare[i]), **sigma)
+        yield warned(f"{FEW}:survey", {"source": names[i]}, spare=float(tell[i]), **sigma)
+    if not few and check < FEW_DEGREES:
+        yield warned(f"{FEW}:given", {"redundancy": check}, more=more_than(round(check)))
 
 
 def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
