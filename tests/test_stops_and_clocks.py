@@ -497,4 +497,3 @@ def test_a_lag_of_much_of_a_step_is_named_where_the_hand_does_not_stop(late):
     found = hl.calibrate(recording, hl.Noise(3e-5, 5e-5, 2e-4))
     (mistake,) = [one for one in found.warnings if one.code == "file-mistake"]
     assert mistake.values["share"] == pytest.approx(late, abs=0.02)
-    assert "--free lag" in found.verdict.sentence

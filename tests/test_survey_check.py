@@ -316,6 +316,8 @@ def test_a_level_scanner_is_determined_by_its_drawing_and_upright_walls():
         found = hl.calibrate(replace(survey, known=tuple(known)))
         assert found.status == "undetermined"
         assert f'relation = "{asked}"' in found.message
+        assert ("a stated mount alone" in found.message) == (known == (mount,))
+        assert ('relation = "mount"' in found.message) == (asked == "mount")
     assert "height of scanner eye" in found.message
     found = hl.calibrate(replace(survey, known=(mount, *walls)))
     assert found.usable

@@ -1232,3 +1232,14 @@ def test_a_range_error_with_which_no_shot_fits_is_named(k2):
     assert named.message in found.verdict.sentence
     assert named.values["free"] == "k2"
     assert named.values["size"] == pytest.approx(k2, rel=0.01)
+
+
+@pytest.mark.slow
+def test_positions_of_another_scale_are_named_beside_the_range_error_that_looks_like_them():
+    """Readings, positions and mounts of one scale have the same residuals."""
+    survey = survey_of(rigs_by_rays.scanner(0))
+    stations = replace(survey.stations, world_t_hand=1.15 * survey.stations.world_t_hand)
+    sentence = hl.calibrate(replace(survey, stations=stations)).verdict.sentence
+    assert "reads with an error k1 of 0.15" in sentence
+    assert "or positions of the hand are 1.15 times too large" in sentence
+    assert "the units" in sentence

@@ -174,6 +174,19 @@ def test_a_beam_with_fewer_readings_than_unknowns_is_not_usable():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("stations", "spare"), [(8, 7), (10, None)])
+def test_few_readings_beyond_the_unknowns_are_said_where_the_noise_is_stated(stations, spare):
+    """One beam before two planes and a ball, 17 unknowns: a gross error may pass for another mount."""
+    few = {"targets": "planes+sphere", "planes": 2, "spheres": 1, "stations": stations}
+    survey = rigs.survey_of(rigs_by_rays.mixed(1, sensors=("beam",), **few))
+    found = hl.calibrate(survey, hl.Noise(2e-5, *rigs.HAND))
+    said = [one.values["redundancy"] for one in found.warnings if one.code == "few-readings"]
+    assert said == ([] if spare is None else [spare])
+    assert "determine the noise" not in found.verdict.sentence
+    assert found.usable
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [10, 33])
 def test_a_beam_with_seven_readings_is_found_where_it_is(seed):
     """Another minimum, 25 mm off, fits the three quarters of its readings that fit best."""

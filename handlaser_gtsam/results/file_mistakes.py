@@ -26,7 +26,8 @@ from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits,
 PROMISING = 9.0
 """Another reading of the file is solved in full where a quick look makes residuals smaller by this."""
 SHARES = (-0.7, -0.4, -0.2, -0.1, 0.1, 0.2, 0.4, 0.7)
-"""Parts of the way to the next station, or back to the one before, at which readings may be taken."""
+"""Parts of the way to the next station, or back to the one before, at which readings may be taken.
+Beyond, they are nearly the readings of that station, a row off."""
 SPLITS = 9
 """Evenly spaced stations that are tried as the first of a second plate; then the best is refined."""
 UNITS = {"millimetres": MM, "inches": INCH, "centimetres": 10.0 * MM, "metres": 1.0}
@@ -357,8 +358,10 @@ def _on_the_way(recording: Recording) -> Iterator[Rereading]:
         values[share] = _glance(_moved_on(one, share))
     if values[0.0] < PROMISING * values[best] or best == 0.0:
         return
-    way = "to the next" if best > 0.0 else "from the last"
-    words = said("mistake:on-the-way", percent=IN_PERCENT * abs(best), way=way)
+    way, when = (
+        ("to the next station", "late") if best > 0.0 else ("back to the one before", "early")
+    )
+    words = said("mistake:on-the-way", percent=IN_PERCENT * abs(best), way=way, when=when)
     yield Rereading(words, partial(_moved_on, share=best), values={"share": best})
 
 

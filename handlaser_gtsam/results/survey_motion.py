@@ -1,12 +1,13 @@
 """What a survey leaves undetermined, in words: by the kind of its motion, by circles, or one by one."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import cast
 
 import numpy as np
 
 from ..arrays import FloatArray
+from ..data.screening import BY_CHANCE
 from ..data.survey import RAY_ERRORS
 from ..estimation.estimate import Estimate
 from ..estimation.survey_mirror import motion_of, numbers_of
@@ -161,10 +162,18 @@ def _words_of_images(
 
 
 def _mounts_are_stated(rows: SurveyRows, parts: Sequence[OpenPart]) -> bool:
-    """Tell whether nothing moves but planes, and mounts that are stated as far as they are known."""
+    """Tell whether nothing moves but planes, and mounts that are stated as far as they are known.
+
+    Planes that are seen at fewer than three stops are not: they lack stations.
+    """
     stated = {rows.entities(one)[0] for one in rows.known if one.relation == "mount"}
     names = {(family, rows.label((family, member))) for family, member in stated}
-    moved = (p.kind == PLANE.name or (p.kind, p.name) in names for p in parts)
+    seen = {(item.target, int(rows.stops[item.station])) for item in rows.items}
+    stops = Counter(_name_of(rows, *target) for target, _ in seen if target[0] == PLANE.name)
+    moved = (
+        stops[p.name] >= BY_CHANCE if p.kind == PLANE.name else (p.kind, p.name) in names
+        for p in parts
+    )
     return bool(names) and all(moved)
 
 

@@ -79,7 +79,6 @@ from .warnings import (
     contradicted_poses,
     contradicted_readings,
     large_pose_errors,
-    more_than,
 )
 
 if TYPE_CHECKING:
@@ -126,8 +125,9 @@ def survey_warnings(
             yield from _rough_beam(found)
         if not false:  # which looks like errors of the hand
             yield from large_pose_errors(_learned_of_hand(found))
-    yield from _too_few(found)
-    yield from _few(found)
+    unsure = list(_too_few(found))
+    yield from unsure
+    yield from _few(found, unsure=bool(unsure))
     yield from _rivals(found, beams)
     for sensor in sensors.values():
         errors = [(code, error) for code, error in sensor.errors.items() if error.found]
@@ -297,10 +297,12 @@ def unread_stations(rows: SurveyRows) -> Iterator[CalibrationWarning]:
         yield warned("too-few-points", values, lost=with_few, uncounted=uncounted, more=more)
 
 
-def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
-    """Warn of hardly more readings than unknowns, which a gross error may pass among.
+def _few(found: SurveyEstimate, *, unsure: bool) -> Iterator[CalibrationWarning]:
+    """Warn of hardly more readings than unknowns: a gross error among them does not show.
 
-    Where noise is learned from as few, its standard deviations rest on what noise is usual.
+    Where noise is learned from as few, its standard deviations rest on what noise is usual. `unsure`
+    tells whether another mount is said to fit as well. Of shots of many rays nothing is said: their
+    rows tell more than the mount.
     """
     if found.estimate.status != "converged":
         return
@@ -311,8 +313,8 @@ def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     for i in few:
         sigma = {"sigma": float(found.noise.sigma[i]), "usual": float(usual[i])}
         yield warned(f"{FEW}:survey", {"source": names[i]}, spare=float(tell[i]), **sigma)
-    if not few and check < FEW_DEGREES:
-        yield warned(f"{FEW}:given", {"redundancy": check}, more=more_than(round(check)))
+    if not (few or unsure or found.rows.survey.shots) and round(check) < FEW_DEGREES:
+        yield warned(f"{FEW}:beams", {"redundancy": round(check)})
 
 
 def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:

@@ -190,18 +190,12 @@ def fit_warnings(
     yield from far_reading(fit)
     redundancy = solution.redundancy
     if redundancy < FEW_DEGREES:
-        more = more_than(redundancy)
+        some = f"only {count(redundancy, 'reading')} more than"
+        more = some if redundancy > 0 else "no more readings than"
         if not fit.range_sigma_given:
             yield warned("few-readings", {"redundancy": redundancy}, more=more)
         elif solution.observability.full:
             yield warned("few-readings:given", {"redundancy": redundancy}, more=more)
-
-
-def more_than(redundancy: int) -> str:
-    """Return how a sentence begins that compares readings with the unknowns."""
-    if redundancy <= 0:
-        return "no more readings than"
-    return f"only {count(redundancy, 'reading')} more than"
 
 
 def far_reading(fit: Fit) -> Iterator[CalibrationWarning]:

@@ -199,7 +199,7 @@ def write_export(
 
 
 def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions, *, usable: bool) -> str:
-    """Return the text of a format, whose first comment says so of what is not `usable`."""
+    """Return the text of a format, whose first comment says where it is not `usable`."""
     axis: Axis = (options.axis or "z") if to in TOOLS else "x"  # x is what sensor_msgs/Range wants
     beams = exported_beams(what, options.beams, axis, float(options.at_reading))
     if isinstance(what, SurveyFile) and to not in (*LINKED, *TOOLS):
