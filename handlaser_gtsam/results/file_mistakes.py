@@ -339,13 +339,22 @@ def _mixed_labels(recording: Recording) -> Iterator[Rereading]:
 
 
 def _on_the_way(recording: Recording) -> Iterator[Rereading]:
-    """Yield that readings were taken on the way to the next station, or from the last.
+    """Yield that readings were taken on the way to the next station, or back to the one before.
+
+    Hands that stop go straight from one to the next, and others along a parabola through three.
+    """
+    one, _ = one_beam(recording)
+    for bent in (False, True):
+        yield from _part_of_the_way(one, bent=bent)
+
+
+def _part_of_the_way(one: Recording, *, bent: bool) -> Iterator[Rereading]:
+    """Yield at what part of ways, straight or bent, one beam of a recording fits far better.
 
     Near the right part of the way the misfit is quadratic in it: a parabola through three tells it.
     """
-    one, _ = one_beam(recording)
     shares = (0.0, *SHARES)
-    moves = [partial(_moved_on, share=share) for share in shares]
+    moves = [partial(_moved_on, share=share, bent=bent) for share in shares]
     values = dict(zip(shares, glances(one, moves).tolist(), strict=True))
     for _ in range(len(SHARES)):
         best = min(values, key=lambda share: values[share])
@@ -355,21 +364,21 @@ def _on_the_way(recording: Recording) -> Iterator[Rereading]:
         # It leaves a hundredth of the misfit that a tenth of the way has.
         if min(abs(share - known) for known in values) < 1e-3:
             break
-        values[share] = _glance(_moved_on(one, share))
+        values[share] = _glance(_moved_on(one, share, bent=bent))
     if values[0.0] < PROMISING * values[best] or best == 0.0:
         return
     way, when = (
         ("to the next station", "late") if best > 0.0 else ("back to the one before", "early")
     )
     words = said("mistake:on-the-way", percent=IN_PERCENT * abs(best), way=way, when=when)
-    yield Rereading(words, partial(_moved_on, share=best), values={"share": best})
+    yield Rereading(words, partial(_moved_on, share=best, bent=bent), values={"share": best})
 
 
-def _moved_on(recording: Recording, share: float) -> Recording:
+def _moved_on(recording: Recording, share: float, *, bent: bool) -> Recording:
     """Return a recording whose poses are moved a part of the way to the next of the same plane.
 
-    Or, where it is negative, towards the one before: along a parabola through the three, as a hand that
-    does not stop moves. The first and the last of a plane move along a straight line.
+    Or, where it is negative, towards the one before. Straight, the last or the first of a plane stays;
+    along a parabola through the three, the hand goes on at both as it moves there.
     """
     plane, count = recording.plane_of_station, len(recording.plane_of_station)
     R, t = recording.world_R_hand, recording.world_t_hand
@@ -380,9 +389,13 @@ def _moved_on(recording: Recording, share: float) -> Recording:
         turn = Rotation.from_matrix(np.swapaxes(R, 1, 2) @ R[other]).as_rotvec()
         steps[side] = np.hstack((turn, t[other] - t))
         there[side, :, 0] = (plane[other] == plane) & (other != np.arange(count))
-    back = np.where(there[0], steps[0], np.where(there[1], -steps[1], 0.0))
-    on = np.where(there[1], steps[1], -back)
-    moved = 0.5 * share * (on - back) + 0.5 * share**2 * (on + back)
+    if bent:
+        back = np.where(there[0], steps[0], np.where(there[1], -steps[1], 0.0))
+        on = np.where(there[1], steps[1], -back)
+        moved = 0.5 * share * (on - back) + 0.5 * share**2 * (on + back)
+    else:
+        side = int(share > 0.0)
+        moved = abs(share) * np.where(there[side], steps[side], 0.0)
     turned = R @ Rotation.from_rotvec(moved[:, :3]).as_matrix()
     return replace(recording, world_R_hand=turned, world_t_hand=t + moved[:, 3:])
 
