@@ -386,7 +386,7 @@ BEFORE: dict[str, tuple[Mistake, str]] = {
     "plate-moves-20mm": (move_plate(20.0, 2.0), "of plane|moved|another plane"),
     "plates-sag-0.3mm": (sag(0.3, both=True), "sag|bend|curv"),
     "plates-bend-one-way-0.3mm": (sag(0.3, both=False), "sag|bend|curv"),
-    "read-on-the-way": (average_on_the_way, "of the way|move"),
+    "read-on-the-way": (average_on_the_way, "of the way"),
     "bracket-bends": (bracket, ""),
     "backlash": (backlash, ""),
 }

@@ -197,17 +197,16 @@ class SurveyEstimate:
         sizes = self.noise.with_hand_times(float(np.sqrt(pose_variances)))
         return self.ended(sizes).problem()[0]
 
-    def redundancy(self) -> tuple[FloatArray, float]:
-        """Return how many numbers beyond the unknowns tell each noise, and check the readings.
+    def redundancy(self) -> FloatArray:
+        """Return how many numbers beyond the unknowns tell the noise of each sensor, beams and aiming.
 
-        A row has the part of one that the unknowns leave of it. Readings inside shots tell the noise
-        of their sensor, too, but cannot check its mount.
+        A row has the part of one that the unknowns leave of it; readings inside shots count, too.
         """
         state = self.ended()
         _, left, owner = self.residuals()
         source, inside = state.sources(owner), _beside_rows(state)[1]
         own = np.bincount(source[source >= 0], left[source >= 0], len(inside))
-        return np.asarray(own + inside), float(own.sum())
+        return np.asarray(own + inside)
 
     def residuals(self) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return the residuals (R,) of all rows, what part of one the unknowns leave, and their items.

@@ -10,7 +10,7 @@ survey, too. Cones are tried with other angles once all is solved.
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from difflib import get_close_matches
@@ -305,19 +305,9 @@ def curved(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         p = 2.0 * float(gaussian_sf(far[code]))
         which = {"sensor": shots.name, "code": code, "alike": "", "free": '", "'.join(far)}
         values = {"size": size, "sigma": of_size, "p": p}
-        yield warned(
-            "range-error", {**which, **values}, likely=p_words(p, 1), also=_also_scaled(sizes, far)
-        )
-
-
-def _also_scaled(sizes: Mapping[str, tuple[float, float]], far: Collection[str]) -> str:
-    """Say by how much positions of the hand may be too large instead, where k1 alone is found.
-
-    Readings, positions and mounts that are all of one scale have the same residuals.
-    """
-    if list(far) != ["k1"]:
-        return ""
-    return f"; or positions of the hand are {1.0 + sizes['k1'][0]:.4g} times too large"
+        # Readings, positions and mounts that are all of one scale have the same residuals.
+        also = said("scaled-instead", times=1.0 + size) if list(far) == ["k1"] else ""
+        yield warned("range-error", {**which, **values}, likely=p_words(p, 1), also=also)
 
 
 def no_fit(

@@ -298,23 +298,24 @@ def unread_stations(rows: SurveyRows) -> Iterator[CalibrationWarning]:
 
 
 def _few(found: SurveyEstimate, *, unsure: bool) -> Iterator[CalibrationWarning]:
-    """Warn of hardly more readings than unknowns: a gross error among them does not show.
+    """Warn of hardly more readings than unknowns.
 
-    Where noise is learned from as few, its standard deviations rest on what noise is usual. `unsure`
-    tells whether another mount is said to fit as well. Of shots of many rays nothing is said: their
-    rows tell more than the mount.
+    Where noise is learned from as few, standard deviations rest on what noise is usual. Among stated
+    ones, a gross error of a single beam may pass for another mount, as is said already where results
+    are `unsure`. Of shots of many rays that is not said: rows of these tell more than the mount.
     """
-    if found.estimate.status != "converged":
+    learned, shots = np.isnan(found.stated.sigma), found.rows.survey.shots
+    if found.estimate.status != "converged" or (shots and not learned.any()):
         return
     names = [*found.rows.names_of_noise(), "the aiming at points"]
-    usual, learned = usual_noise(found.rows, found.given).sigma, np.isnan(found.stated.sigma)
-    tell, check = found.redundancy()
-    few = np.flatnonzero(learned & (tell < FEW_DEGREES)).tolist()
+    spare, usual = found.redundancy(), usual_noise(found.rows, found.given).sigma
+    few = np.flatnonzero(learned & (spare < FEW_DEGREES)).tolist()
     for i in few:
         sigma = {"sigma": float(found.noise.sigma[i]), "usual": float(usual[i])}
-        yield warned(f"{FEW}:survey", {"source": names[i]}, spare=float(tell[i]), **sigma)
-    if not (few or unsure or found.rows.survey.shots) and round(check) < FEW_DEGREES:
-        yield warned(f"{FEW}:beams", {"redundancy": round(check)})
+        yield warned(f"{FEW}:survey", {"source": names[i]}, spare=float(spare[i]), **sigma)
+    in_all = round(float(spare.sum()))
+    if not (few or unsure or shots) and in_all < FEW_DEGREES:
+        yield warned(f"{FEW}:beams", {"redundancy": in_all})
 
 
 def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
