@@ -143,6 +143,16 @@ def test_several_errors_are_unknowns_at_once():
     assert abs(lag.size - LARGE_LAG) < 4.0 * lag.sigma < 2e-3
 
 
+def test_a_lag_follows_a_way_that_bends():
+    """Half of the way from the previous to the next station would leave mounts wrong by 2 to 7 mm."""
+    scene = Scene(3)
+    found = freed(recorded(scene, 0, "lag", 0.1), "lag", noise=None)
+    assert found.usable
+    for beam, r in zip(found.beams.values(), scene.r, strict=True):
+        assert (np.abs(beam.location - r) < 4.0 * beam.sigma[:3]).all()
+        assert (beam.sigma[:3] < 5e-4).all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("code", ["lag", "incidence", "drift"])
 def test_a_simulated_error_is_recovered_with_honest_covariances(code):

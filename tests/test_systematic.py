@@ -63,11 +63,9 @@ class Scene:
             for p in range(self.planes):
                 at = np.flatnonzero(self.plane == p)
                 for k, j in enumerate(at):
-                    before, after = at[max(k - 1, 0)], at[min(k + 1, len(at) - 1)]
-                    part = size / (2 if 0 < k < len(at) - 1 else 1)
-                    turn = Rotation.from_matrix(self.R[before].T @ self.R[after]).as_rotvec()
-                    R[j] = self.R[j] @ Rotation.from_rotvec(part * turn).as_matrix()
-                    t[j] = self.t[j] + part * (self.t[after] - self.t[before])
+                    way = self._ahead(j, at[max(k - 1, 0) : k], at[k + 1 : k + 2], size)
+                    R[j] = self.R[j] @ Rotation.from_rotvec(way[:3]).as_matrix()
+                    t[j] = self.t[j] + way[3:]
         if code == "turn-scale":
             mean = Rotation.from_matrix(self.R).mean()
             turns = (mean.inv() * Rotation.from_matrix(self.R)).as_rotvec()
@@ -75,6 +73,18 @@ class Scene:
         if code == "translation-scale":
             t = t.mean(axis=0) + (1.0 + size) * (t - t.mean(axis=0))
         return R, t
+
+    def _ahead(self, j, before, after, w):
+        """Return turn and shift of the hand after a part of a step, by Lagrange's interpolation."""
+        ways = [
+            np.append(
+                Rotation.from_matrix(self.R[j].T @ self.R[i]).as_rotvec(), self.t[i] - self.t[j]
+            )
+            for i in (*before, *after)
+        ]
+        if len(ways) == 2:
+            return w * (w - 1.0) / 2.0 * ways[0] + w * (w + 1.0) / 2.0 * ways[1]
+        return -w * ways[0] if len(before) else w * ways[0]
 
     def flat_ranges(self, R, t, height=0.0):
         n, b = self.n[self.plane], self.b[self.plane]

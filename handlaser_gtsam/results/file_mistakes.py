@@ -19,6 +19,7 @@ from ..data.recording import Recording
 from ..data.screening import BY_CHANCE
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
+from ..model.effects.lag import parabola, to_neighbours
 from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MAJORITY, MANY_OUTLIERS, MM, TINY
 from .messages import MISTAKES, READ_AS, Values, said, warned
 from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits, one_beam, tells
@@ -380,24 +381,16 @@ def _moved_on(recording: Recording, share: float, *, bent: bool) -> Recording:
     Or, where it is negative, towards the one before. Straight, the last or the first of a plane stays;
     along a parabola through the three, the hand goes on at both as it moves there.
     """
-    plane, count = recording.plane_of_station, len(recording.plane_of_station)
     R, t = recording.world_R_hand, recording.world_t_hand
-    steps = np.zeros((2, count, 6))
-    there = np.zeros((2, count, 1), dtype=bool)
-    for side, by in enumerate((-1, 1)):
-        other = np.clip(np.arange(count) + by, 0, count - 1)
-        turn = Rotation.from_matrix(np.swapaxes(R, 1, 2) @ R[other]).as_rotvec()
-        steps[side] = np.hstack((turn, t[other] - t))
-        there[side, :, 0] = (plane[other] == plane) & (other != np.arange(count))
+    ways = to_neighbours(recording.plane_of_station, R, t)
     if bent:
-        back = np.where(there[0], steps[0], np.where(there[1], -steps[1], 0.0))
-        on = np.where(there[1], steps[1], -back)
-        moved = 0.5 * share * (on - back) + 0.5 * share**2 * (on + back)
+        step, bend = parabola(*ways)
+        moved = share * step + share**2 * bend
     else:
-        side = int(share > 0.0)
-        moved = abs(share) * np.where(there[side], steps[side], 0.0)
+        moved = abs(share) * np.nan_to_num(ways[int(share > 0.0)])
     turned = R @ Rotation.from_rotvec(moved[:, :3]).as_matrix()
-    return replace(recording, world_R_hand=turned, world_t_hand=t + moved[:, 3:])
+    there = t + np.einsum("mij,mj->mi", R, moved[:, 3:])
+    return replace(recording, world_R_hand=turned, world_t_hand=there)
 
 
 def _best_split(part: Recording, undone: Callable[..., Recording]) -> int | None:

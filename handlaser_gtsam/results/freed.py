@@ -204,8 +204,8 @@ def with_freed(
         at = selection.solution.at
         if at.status != "converged" or not selection.solution.observability.full:
             return problem, selection, None
-        errors = _Errors(recorded, problem, selection, prior)
-        freed, step = errors.estimated(size, rank)
+        errors = _Errors(recorded, problem, selection, prior, size)
+        freed, step = errors.estimated(rank)
         if not np.isfinite(step).all():
             return problem, selection, None
         known, rank = np.sqrt(np.diagonal(freed.covariance)), freed.rank
@@ -236,6 +236,8 @@ class _Errors:
     selection : Selection
     prior : mapping
         Sigmas by code.
+    size : mapping of Member to float
+        At which the problem was solved, in these sigmas; zero where it has none.
 
     Attributes
     ----------
@@ -243,7 +245,12 @@ class _Errors:
     """
 
     def __init__(
-        self, recorded: Problem, problem: Problem, selection: Selection, prior: Mapping[str, float]
+        self,
+        recorded: Problem,
+        problem: Problem,
+        selection: Selection,
+        prior: Mapping[str, float],
+        size: Mapping[Member, float],
     ) -> None:
         self.recorded, self.problem, self.selection = recorded, problem, selection
         readings, solution = recorded.readings, selection.solution
@@ -260,7 +267,7 @@ class _Errors:
         channel = problem.order.beams
         seen = SeenStations(solution.parameters, moved, position, channel)
         before = SeenStations(solution.parameters, still, position, channel)
-        columns, longer, twists = [], [], []
+        columns, longer, twists, bends = [], [], [], []
         self.members: list[Member] = []
         stations = problem.recording.station_names
         for code, sigma in prior.items():
@@ -277,16 +284,21 @@ class _Errors:
             else:
                 assert kind is not None, f"{code} can show"
                 column, members = kind.columns, [(code, part) for part in kind.parts]
+            still_hand = np.zeros((numbers, 6, len(members)))
+            twist = still_hand if effect.twists is None else sigma * effect.twists(before)
+            bend = still_hand if effect.bends is None else sigma**2 * effect.bends(before)
             if effect.twists is not None:
-                twist, reading = effect.twists(before), np.zeros_like(column)
-                by_poses = -seen.by_poses(_carried(twist, before, seen))
+                at = np.array([size.get(member, 0.0) for member in members])
+                moving = _carried(twist + 2.0 * bend * at, before, seen)
+                by_poses, reading = -seen.by_poses(moving), np.zeros_like(column)
             else:
-                twist, by_poses = np.zeros((numbers, 6, len(members))), np.zeros_like(column)
-                reading = column / seen.longer[:, None]
+                by_poses = np.zeros_like(column)
+                reading = sigma * column / seen.longer[:, None]
             self.members += members
-            columns.append(sigma * by_poses)
-            longer.append(sigma * reading)
-            twists.append(sigma * twist)
+            columns.append(by_poses)
+            longer.append(reading)
+            twists.append(twist)
+            bends.append(bend)
         if not 0 < len(self.members) <= MOST_FREED:
             codes = ", ".join(prior)
             raise InputError(
@@ -294,18 +306,18 @@ class _Errors:
                 f"1 to {MOST_FREED}: free what the recording has, or less",
             )
         self.prior = np.array([prior[member[0]] for member in self.members])
-        self.by_poses = np.hstack(columns)
-        self.longer, self.twists = np.hstack(longer), np.concatenate(twists, axis=2)
+        self.size = np.array([size.get(member, 0.0) for member in self.members])
+        self.by_poses, self.longer = np.hstack(columns), np.hstack(longer)
+        self.twists, self.bends = (np.concatenate(parts, axis=2) for parts in (twists, bends))
         self.stations = still.station[before.first[0]]
 
-    def estimated(self, size: Mapping[Member, float], rank: int) -> tuple[Freed, FloatArray]:
-        """Return the errors at sizes, and the step (q,) to the sizes that the residuals show.
+    def estimated(self, rank: int) -> tuple[Freed, FloatArray]:
+        """Return the errors, and the step (q,) to the sizes that the residuals show.
 
         The readings determined `rank` of the sizes.
         """
         problem = self.problem
-        used = self.selection.used[self.rows]
-        at = np.array([size.get(member, 0.0) for member in self.members])
+        used, at = self.selection.used[self.rows], self.size
         codes, subjects = zip(*self.members, strict=True)
         rows = linear_rows(problem._replace(more=rank), self.selection)
         # The slope of the range error is free of the noise of the readings, as everywhere.
@@ -331,7 +343,8 @@ class _Errors:
         at = np.array([size[member] for member in self.members])
         distance = readings.distance.copy()
         distance[self.rows] -= self.longer @ at
-        twist, moved = self.twists @ at, order.stations[self.stations]
+        twist = self.twists @ at + self.bends @ at**2
+        moved = order.stations[self.stations]
         R, t = recording.world_R_hand.copy(), recording.world_t_hand.copy()
         t[moved] += np.einsum("nij,nj->ni", R[moved], twist[:, 3:])
         R[moved] = R[moved] @ Rotation.from_rotvec(twist[:, :3]).as_matrix()

@@ -36,6 +36,8 @@ TWISTS = {
     "translation-scale": translation_scale.twists,
 }
 """Errors of the hand poses."""
+BENDS = {"lag": lag.bends}
+"""What moves the hands by the square of the size of such an error, on top."""
 
 
 def _of_reading(
@@ -61,7 +63,13 @@ MEMBERS: dict[str, Callable[[SeenStations], Everywhere | OnPlanes]] = {
 }
 """Columns of all errors that a recording can show; some have a size for each beam or plane."""
 EFFECTS = {
-    code: Effect(code=code, members=MEMBERS.get(code), twists=TWISTS.get(code), **stated)
+    code: Effect(
+        code=code,
+        members=MEMBERS.get(code),
+        twists=TWISTS.get(code),
+        bends=BENDS.get(code),
+        **stated,
+    )
     for code, stated in STATED.items()
 }
 """All systematic errors by their codes."""

@@ -204,6 +204,8 @@ class Effect:
     twists : callable, optional
         Of an error of the hand poses: returns what moves the hands (omega, u) (S, 6, c) from their
         recorded poses, one a unit of size.
+    bends : callable, optional
+        Of an error of the hand poses: the same, one a square of size, which comes on top.
     phrase, remedy, reveal, confounded, anywhere : str
         The words for it.
     unit, of_sensor, of_cell, power, least_beams, is_k1, term, across, in_order, of_mean
@@ -213,6 +215,7 @@ class Effect:
     code: str
     members: Callable[[SeenStations], Everywhere | OnPlanes] | None = None
     twists: Callable[[SeenStations], FloatArray] | None = None
+    bends: Callable[[SeenStations], FloatArray] | None = None
     phrase: str
     remedy: str
     reveal: str = ""

@@ -1,7 +1,8 @@
 r"""Systematic errors as unknowns of the SciPy reference, by formulas of its own.
 
 An unknown of size a moves the hand poses, R exp(a omega) and t + a u in the world frame, or makes the
-readings longer, by a f. The steps (omega, u) follow from the recorded poses alone; f follows from
+readings longer, by a f. A lag adds a^2 times a bend to turn and shift, so that the hand moves along the
+parabola through three stations. Steps and bends follow from the recorded poses alone; f follows from
 ranges and angles of incidence at a solution. The numbers 8, 2 and 32 are stated again here, for nothing
 is shared with the effects of the model:
 
@@ -68,9 +69,12 @@ class SystematicErrors:
         self.members = tuple((code, subject) for code, subject, _ in (*moves, *parts))
         self.sigma = np.array([sigmas[code] for code, _ in self.members])
         self.steps = np.zeros((len(self.members), len(seen), 6))
+        self.bends = np.zeros_like(self.steps)
         self.parts = np.zeros((len(self.members), len(self.station))).T
-        for i, (*_, step) in enumerate(moves):
+        for i, (code, _, step) in enumerate(moves):
             self.steps[i] = step
+            if code == "lag":
+                self.bends[i] = self._step_and_bend()[1]
         for i, (*_, part) in enumerate(parts, len(moves)):
             self.parts[:, i] = part
 
@@ -79,7 +83,7 @@ class SystematicErrors:
         R, t = self.recording.world_R_hand, self.recording.world_t_hand
         if not self.steps.any():
             return R, t
-        step = np.tensordot(size, self.steps, 1)
+        step = np.tensordot(size, self.steps, 1) + np.tensordot(size**2, self.bends, 1)
         turn = Rotation.from_rotvec(step[:, :3])
         return (Rotation.from_matrix(R) * turn).as_matrix(), t + step[:, 3:]
 
@@ -137,17 +141,31 @@ class SystematicErrors:
             mean = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
             step[:, :3] = Rotation.from_matrix(mean.T @ R).as_rotvec()
         elif code == "lag":
-            for own in self._by_plane():
-                for place, station in enumerate(own):
-                    first, last = own[max(place - 1, 0)], own[min(place + 1, len(own) - 1)]
-                    ways = max(min(place, 1) + min(len(own) - 1 - place, 1), 1)
-                    turn = Rotation.from_matrix(R[first].T @ R[last]).as_rotvec()
-                    step[station] = np.concatenate((turn, t[last] - t[first])) / ways
+            step, _ = self._step_and_bend()
         elif code == "tool-displaced":
             return self._moves_of_tool()
         else:
             return []
         return [("", step)]
+
+    def _step_and_bend(self) -> FloatArray:
+        """Return half of the difference and of the sum of the ways (2, M, 6) on and back.
+
+        The first and the last station of a plane lie on a line with their neighbour.
+        """
+        R, t = self.recording.world_R_hand, self.recording.world_t_hand
+        found = np.zeros((2, len(t), 6))
+        for own in self._by_plane():
+            for place, station in enumerate(own):
+                ways = []
+                for by in (-1, 1):
+                    if 0 <= place + by < len(own):
+                        other = own[place + by]
+                        turn = Rotation.from_matrix(R[station].T @ R[other]).as_rotvec()
+                        ways.append(by * np.concatenate((turn, t[other] - t[station])))
+                if ways:
+                    found[:, station] = np.mean(ways, axis=0), 0.5 * (ways[-1] - ways[0])
+        return found
 
     def _moves_of_tool(self) -> list[tuple[str, FloatArray]]:
         """Return displacements about their mean: along each axis, steadily and from stations on."""
