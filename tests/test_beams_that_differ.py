@@ -189,3 +189,14 @@ def test_known_relations_of_beams_in_a_log_count(handlaser, tmp_path):
     code, out, err = handlaser("calibrate", log, "--rig", rig)
     assert code == 0, err
     assert "sonar 4 mm" in " ".join(out.split())
+
+
+def test_a_range_error_that_no_beam_has_is_asked_about():
+    """No laser reads 13 % too little: another unit, or positions of another scale, look like that."""
+    survey = hand_of_two(0)
+    assert survey.ranges is not None
+    short = replace(survey, ranges=survey.ranges / (1.15, 1.0))
+    (warning,) = [one for one in hl.calibrate(short).warnings if one.code == "large-range-error"]
+    assert (warning.values["beam"], warning.values["expected"]) == ("laser", 0.01)
+    assert 0.1 < float(warning.values["size"]) < 0.15  # the prior expects none
+    assert "large-range-error" not in [one.code for one in hl.calibrate(survey).warnings]

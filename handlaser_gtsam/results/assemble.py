@@ -72,7 +72,7 @@ from .warnings import (
     IMPLAUSIBLE,
     fit_warnings,
     implausible_mounts,
-    large_range_errors,
+    large_range_error,
     lost_of_beams,
     misfit,
     much_alike,
@@ -287,7 +287,8 @@ def _signs(
     misspelt = _misspelt_labels(problem, solution, fit)
     large: tuple[CalibrationWarning, ...] = ()
     if solution.prior is not None and known:
-        large = tuple(large_range_errors(used, solution.best, beams, problem.sensor.linearity))
+        k, typical = solution.best.range_errors, used.typical_range()
+        large = tuple(large_range_error(k, typical, problem.sensor.linearity, beams))
     repeated = () if stops is None else stops.warnings
     return (*_wrong_labels(problem, why), *misspelt, *why.warnings, *of_fit, *large, *repeated)
 

@@ -17,13 +17,13 @@ import numpy as np
 from ..arrays import FloatArray, evenly
 from ..data.noise import OF_POSE
 from ..data.screening import REPEATED, repeated
-from ..data.survey import normal_label
+from ..data.survey import RAY_ERRORS, normal_label
 from ..errors import CalibrationWarning
 from ..estimation.estimate import BlockProblem, minimum, search_from
 from ..estimation.scales import ROTATION, TRANSLATION, NoiseComponent
 from ..estimation.survey import SurveyEstimate, usual_noise
 from ..estimation.survey_outliers import alike_by_zone
-from ..estimation.survey_rows import SurveyRows
+from ..estimation.survey_rows import RANGE_ERRORS, SurveyRows
 from ..estimation.survey_state import SurveyState
 from ..estimation.survey_trials import ALIKE, ALL_MOUNTS, BOTH_AXES, displacement
 from ..model.distributions import (
@@ -53,7 +53,7 @@ from ..starts.directions import half_sphere
 from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
 from ..text import count, some
 from .lines import NAMES_IN_LINE
-from .messages import Values, warned
+from .messages import Values, said, warned
 from .shared_errors import warnings_of
 from .survey_misfit import (
     MISREAD,
@@ -79,6 +79,7 @@ from .warnings import (
     contradicted_poses,
     contradicted_readings,
     large_pose_errors,
+    large_range_error,
 )
 
 if TYPE_CHECKING:
@@ -125,6 +126,7 @@ def survey_warnings(
             yield from _rough_beam(found)
         if not false:  # which looks like errors of the hand
             yield from large_pose_errors(_learned_of_hand(found))
+        yield from _large_range_errors(found, sensors, beams)
     unsure = list(_too_few(found))
     yield from unsure
     yield from _few(found, unsure=bool(unsure))
@@ -158,6 +160,28 @@ def _learned_of_hand(found: SurveyEstimate) -> Iterator[NoiseComponent]:
     for name, sigma, expected, known in of_hand:
         if np.isnan(known):
             yield NoiseComponent(name, sigma, np.nan, expected)
+
+
+def _large_range_errors(
+    found: SurveyEstimate,
+    sensors: "Mapping[str, SensorMount]",
+    beams: "Mapping[str, BeamMount]",
+) -> Iterator[CalibrationWarning]:
+    """Warn of range errors that no sensor has: they stand for another form, or for wrong poses.
+
+    Of many rays they are as far from zero as no error is by their prior.
+    """
+    for name, sensor in sensors.items():
+        for code, size in sensor.range_error.items():
+            expected = float(RANGE_ERRORS[RAY_ERRORS.index(code)])
+            if abs(size) > FAR_SIGMAS * expected:
+                values: Values = {"sensor": name, "code": code, "size": size, "expected": expected}
+                also = said("scaled-instead", times=1.0 + size) if code == "k1" else ""
+                yield warned("large-range-error:sensor", values, also=also)
+    if beams:
+        k = np.array([one.range_error for one in beams.values()])
+        typical, linearity = found.rows.length, found.rows.survey.linearity
+        yield from large_range_error(k, typical, linearity, list(beams))
 
 
 def _rough_beam(found: SurveyEstimate) -> Iterator[CalibrationWarning]:

@@ -13,6 +13,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..data.noise import POSE_SIGMAS, Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
@@ -215,16 +216,25 @@ def large_pose_errors(learned: Iterable[NoiseComponent]) -> Iterator[Calibration
             yield warned(f"large-pose-errors:{which}", values, times=one.sigma / one.usual)
 
 
-def large_range_errors(
-    readings: Readings, parameters: Parameters, names: Sequence[str], linearity: float
+def large_range_error(
+    k: FloatArray, typical: float, linearity: float, names: Sequence[str]
 ) -> Iterator[CalibrationWarning]:
     """Warn of a range error that no sensor of such a linearity has: it stands for another form.
 
     Readings that are too short beyond some range, for one, fit k1 and k2 that are far too large, and a
-    wrong mount, with hardly larger residuals. `names` are in the order of the readings.
+    wrong mount, with hardly larger residuals. Where all readings err by the same part, both share it.
+
+    Parameters
+    ----------
+    k : (B, 2)
+        k1 and k2 of each beam.
+    typical : float
+        Typical range [m].
+    linearity : float
+    names : B strings
     """
-    powers = readings.typical_range() ** np.arange(2.0)
-    size = np.abs(parameters.range_errors * powers).max(axis=1)
+    first, second = k[:, 0], k[:, 1] * typical
+    size = np.abs([first, second, first + second]).max(axis=0)
     beam = int(size.argmax())
     if size[beam] > TEN_TIMES * linearity:
         values: Values = {"beam": names[beam], "size": float(size[beam]), "expected": linearity}
