@@ -791,6 +791,37 @@ def test_options_that_are_named_read_the_file(tmp_path, name, divided, angles):
     assert_poses(found, recording.world_R_hand, recording.world_t_hand)
 
 
+COLUMNS_OF_OTHERS = [
+    ("mitsubishi", "doosan", "doosan", "mitsubishi"),
+    ("staubli", "doosan", "ur", "staubli"),
+    (
+        "staubli",
+        "kuka",
+        "kuka",
+        "--rotation XYZ --units mm --angles deg --pose-columns X,Y,Z,A,B,C",
+    ),
+]
+"""What a file is written in, what it is read as, whose names its columns have, and what is named."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("written_in", "read_as", "names_of", "named"), COLUMNS_OF_OTHERS)
+def test_options_that_are_named_find_the_columns_of_the_file(
+    tmp_path, handlaser, refusal, written_in, read_as, names_of, named
+):
+    """Formats were named that look for other columns, and `--pose-columns NAMES` without the names."""
+    recording = log_recording("paper", "tool down")
+    extra = [("plane", recording.plane_labels)]
+    extra += [(f"range_{b}", d.tolist()) for b, d in zip("ab", recording.ranges.T, strict=False)]
+    path = tmp_path / "log.csv"
+    rows = numbers(recording, FORMATS[written_in])
+    path.write_text(text_of(CONTROLLERS[names_of].names, rows, extra))
+    said = refusal("convert", path, "--pose-format", read_as)
+    words = named if named.startswith("--") else f"--pose-format {named}"
+    assert words in said
+    assert handlaser("convert", path, *words.split())[0] == 0
+
+
 @pytest.mark.slow
 def test_who_insists_is_warned(tmp_path):
     recording = log_recording("paper", "tool down")

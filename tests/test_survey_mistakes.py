@@ -962,7 +962,7 @@ def test_a_rough_sensor_does_not_hide_a_wrong_convention():
     numbers = numbers_of(of.world_R_hand, of.world_t_hand, fanuc)
     R, t = poses_of(numbers, convention_of(kuka))
     wrong = replace(survey, stations=replace(of, world_R_hand=R, world_t_hand=t), shots=shots)
-    words = f"pose-format mitsubishi .as fanuc.*lengths of {fine.name}"
+    words = f"pose-format fanuc .as yaskawa.*lengths of {fine.name}"
     with pytest.raises(hl.InputError, match=words):
         refuse_wrong_reading(wrong, numbers, kuka)
 

@@ -20,10 +20,11 @@ from ..arrays import FloatArray, IntArray
 from ..data.screening import codes_of_shots
 from ..data.survey import Echo
 from ..errors import InputError
+from ..model.conventions import plain
 from ..quantities import IN_MM, LARGEST_LENGTH
 from ..text import count, shown, some
 from .checked_text import in_file
-from .logs.columns import plain, unit_of
+from .logs.columns import unit_of
 from .logs.tables import FOREIGN, PARQUET, table_of_values
 from .recording_csv import known_numbers
 from .table import (

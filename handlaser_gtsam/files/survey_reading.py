@@ -72,6 +72,7 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     elif is_log(path, log, readings=names_ranges(log)):
         of_log = _of_log(path, rig)
         stations, numbers, ranges, beams = of_log[:4]
+        log = replace(log, pose_columns=of_log.header)
         shots, lines, coded = tables.shots(stations.station_names, log.station_column)
         lines, coded = (*of_log.lines, *lines), (*of_log.warnings, *coded)
     else:
@@ -114,6 +115,8 @@ class _LogStations(NamedTuple):
     ranges : (S, B), optional
         [m]; None where the log has poses only.
     beams : tuple of str
+    header : tuple of str
+        What the columns of the poses are called.
     lines : tuple of str
         How the log was read, for a person.
     warnings : tuple of CalibrationWarning
@@ -123,6 +126,7 @@ class _LogStations(NamedTuple):
     numbers: FloatArray
     ranges: FloatArray | None
     beams: tuple[str, ...]
+    header: tuple[str, ...]
     lines: tuple[str, ...]
     warnings: tuple[CalibrationWarning, ...]
 
@@ -187,6 +191,7 @@ def _of_log(path: Path, rig: Rig) -> _LogStations:
         poses.posed[log.way.row[log.way.start]][kept],
         ranges if readings.beams else None,
         readings.beams,
+        poses.columns.pose,
         lines,
         (*of_rows, *log.warnings, *warnings),
     )

@@ -11,6 +11,7 @@ the controllers, as collected in the table of the how-to page (docs/logs.md).
 """
 
 import re
+import shlex
 import warnings
 from dataclasses import dataclass
 
@@ -35,6 +36,20 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units of time [s]."""
 INVERTED = "hand_T_world (base in hand)"
 """Poses that are inverted, in words."""
+UNITS = (
+    "mm|m|in|inch|deg|°|rad|s|ms|us|ns"
+    "|cm|dm|km|um|µm|μm|nm|ft|mrad|mdeg|gon|grad|min|µs|v|mv|ma|counts|digits|lsb|%"
+)
+"""Units behind names of columns. Nothing is read in those of the second line: they are refused."""
+UNIT_IN_NAME = re.compile(
+    rf"[\s_]*[\[(]\s*({UNITS})\s*[\])]$"
+    r"|_(mm|cm|um|m|inch|deg|rad)$"
+    r"|(?:(?<=[xyz])|(?<=reading))_(in)$"
+)
+"""A unit at the end of a column's name: `X [mm]`, `A(deg)`, `x_mm`, `x_in`.
+
+`laser_in` is the input of a laser.
+"""
 EULER = re.compile(r"(?!(.)\1|.(.)\2)([xyz]{3}|[XYZ]{3})")
 """Three axes of which neighbours differ."""
 ROTATIONS = (
@@ -56,12 +71,15 @@ class Convention:
     columns : tuples of names
         What the columns of the rotation are usually called, in the order of its numbers; of a matrix,
         the columns of the whole pose.
+    header : names
+        What the columns of the whole pose are called in the file; empty where there is none.
     """
 
     rotation: str
     units: str = "m"
     angles: str = "rad"
     columns: tuple[tuple[str, ...], ...] = ()
+    header: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_word("units", self.units, LENGTHS)
@@ -189,13 +207,14 @@ def formats_of(meaning: tuple[str, str, str]) -> list[str]:
 
 
 def called(convention: Convention) -> str:
-    """Return the options that state a convention of columns that are called as it says.
+    """Return the options that state a convention of a file with its header.
 
-    They are the name of a format, with its units where these are others, or all is spelled out.
+    They are the name of a format, with its units where these are others, or all is spelled out; and the
+    columns, where nothing else finds them.
     """
-    alike = [name for name, one in FORMATS.items() if shares_columns(one.columns, convention)]
-    names = sorted(formats_of(convention.meaning), key=lambda name: name not in alike)
-    if names and names[0] in alike:
+    alike = [name for name, one in FORMATS.items() if finds(one.columns, convention.header)]
+    names = [name for name in formats_of(convention.meaning) if name in alike]
+    if names:
         others = f" (as {', '.join(names[1:])})" if names[1:] else ""
         return f"--pose-format {names[0]}{others}"
     units = f" --units {convention.units}"
@@ -207,14 +226,25 @@ def called(convention: Convention) -> str:
         angles = angles if known.angles != convention.angles else ""
         return f"--pose-format {base}{units}{angles}"
     words = f"--rotation {convention.rotation}{units}{angles}"
-    if not shares_columns(spelled_columns(convention.rotation), convention):
-        words += " --pose-columns NAMES"
+    if not finds(spelled_columns(convention.rotation), convention.header):
+        words += f" --pose-columns {shlex.quote(','.join(_arrays(convention.header)))}"
     return words
 
 
-def shares_columns(columns: tuple[tuple[str, ...], ...], convention: Convention) -> bool:
-    """Tell whether a rotation may have one of some columns; any, where its convention has none."""
-    return not convention.columns or not set(columns).isdisjoint(convention.columns)
+def _arrays(header: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of columns, but of an array, name[0], name[1], ..., its own name once."""
+    return tuple(dict.fromkeys(re.sub(r"\[\d+\]$", "", name) for name in header))
+
+
+def finds(columns: tuple[tuple[str, ...], ...], header: tuple[str, ...]) -> bool:
+    """Tell whether the rotation of poses has one of some columns; any, where no header is known."""
+    names = tuple(map(plain, header))
+    return not header or any(names[-len(one) :] == one for one in columns)
+
+
+def plain(name: str) -> str:
+    """Return a column's name in lower case without a unit."""
+    return UNIT_IN_NAME.sub("", name.strip().lower()).strip()
 
 
 def spelled_columns(rotation: str) -> tuple[tuple[str, ...], ...]:

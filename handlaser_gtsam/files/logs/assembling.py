@@ -81,7 +81,8 @@ def assembled(
         min(0.0, sensor.range_min),
     )
     doubts = held_poses(recording)
-    doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, given)
+    named = replace(given, pose_columns=poses.columns.pose)
+    doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, named)
     recording = replace(recording, warnings=(*recording.warnings, *doubts))
     scatter_of = zip(readings.beams, scatters[1:].tolist(), strict=True)
     sizes = {"station": len(rows), "beam": len(readings.beams)}

@@ -5,7 +5,14 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-from ...model.conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS
+from ...model.conventions import (
+    ANGLES,
+    FORMATS,
+    LENGTHS,
+    TIME_UNITS,
+    UNIT_IN_NAME,
+    plain,
+)
 from ...text import A_NAME, name_fault, shown, some
 from ..table import FileTable
 from .format import LogFormat
@@ -18,19 +25,6 @@ POSITIONS = (
     ),
     ("actual_tcp_pose_0", "actual_tcp_pose_1", "actual_tcp_pose_2"),
 )
-KNOWN = "mm m in inch deg ° rad s ms us ns"
-OTHERS = "cm dm km um µm μm nm ft mrad mdeg gon grad min µs v mv ma counts digits lsb %"
-"""Units that nothing is read in: a column of such values is refused."""
-UNITS = "|".join(f"{KNOWN} {OTHERS}".split())
-UNIT_IN_NAME = re.compile(
-    rf"[\s_]*[\[(]\s*({UNITS})\s*[\])]$"
-    r"|_(mm|cm|um|m|inch|deg|rad)$"
-    r"|(?:(?<=[xyz])|(?<=reading))_(in)$"
-)
-"""A unit at the end of a column's name: `X [mm]`, `A(deg)`, `x_mm`, `x_in`.
-
-`laser_in` is the input of a laser.
-"""
 TIMES = ("time", "timestamp", "stamp", "t", "time_s")
 RANGE = "range_"
 
@@ -62,11 +56,6 @@ class Columns(NamedTuple):
         """The names of all of them."""
         single = {self.beam, self.range, self.plane, self.station, self.time} - {""}
         return {*self.pose, *self.beams.values(), *single}
-
-
-def plain(name: str) -> str:
-    """Return a column's name in lower case without a unit."""
-    return UNIT_IN_NAME.sub("", name.strip().lower()).strip()
 
 
 def unit_of(name: str) -> str:

@@ -54,10 +54,8 @@ def convention_of(given: "LogFormat") -> Convention:
     known = FORMATS[given.pose_format or "ros"]
     if given.rotation:
         known = Convention(given.rotation, "m", "rad", spelled_columns(given.rotation))
-    columns = () if given.pose_columns else known.columns
-    return Convention(
-        known.rotation, given.units or known.units, given.angles or known.angles, columns
-    )
+    units, angles = given.units or known.units, given.angles or known.angles
+    return Convention(known.rotation, units, angles, known.columns, given.pose_columns)
 
 
 def _check_kinds(given: "LogFormat") -> None:

@@ -229,7 +229,7 @@ def alternatives(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Re
     seen = {convention.meaning}
     for rotation in dict.fromkeys(one.rotation for one in FORMATS.values()):
         for units, angles in product(LENGTHS, ANGLES):
-            one = Convention(rotation, units, angles, convention.columns)
+            one = Convention(rotation, units, angles, header=convention.header)
             if one.meaning in seen or numbers.shape[1] not in one.numbers:
                 continue
             seen.add(one.meaning)

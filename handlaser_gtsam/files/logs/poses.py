@@ -15,10 +15,10 @@ from ...model.conventions import (
     UNIT_WORDS,
     Convention,
     called,
+    finds,
     inverted,
     matrices,
     poses_of,
-    shares_columns,
 )
 from ...quantities import ROUNDING
 from ..recording_csv import QUATERNION_TOLERANCE, off_unit
@@ -117,7 +117,7 @@ def _others(other: Convention) -> str:
         for name, one in FORMATS.items()
         if (one.numbers, one.units, other.has_angles and one.angles) == units
         and one.meaning != other.meaning
-        and shares_columns(one.columns, other)
+        and finds(one.columns, other.header)
     ]
     words = f"then state {called(other)}"
     return words + (f", or --pose-format {'|'.join(alike)} if it is one of those" if alike else "")

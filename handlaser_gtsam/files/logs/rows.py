@@ -179,7 +179,7 @@ def _pose_numbers(
     for i, name in enumerate(columns):
         table.refuse(np.abs(x[:, i]) > IN_MM * LARGEST_LENGTH, name, "a number of a pose")
     found = []
-    for fault in faults(x, convention_of(given)):
+    for fault in faults(x, replace(convention_of(given), header=columns)):
         if not (fault.doubt and given.as_stated):
             names = columns[fault.numbers]
             where = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
