@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers import GRIPPER, simulated
 
+import handlaser_gtsam as hl
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.files.recording_csv import read_recording, write_recording
 
@@ -401,3 +402,18 @@ def test_dashes_in_a_recording_are_counted(tmp_path):
     path.write_text(path.read_text().replace("---", "-+-"))
     with pytest.raises(InputError, match=r"found '-\+-'; expected a finite number"):
         read_recording(path)
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_stations_without_a_reading_are_counted(tmp_path, log):
+    """They were left out without a word; of codes for no reading each is said already."""
+    rows = [
+        f"A,0,0,{k},0,0,0,1,{'' if k in (2, 3) else '---' if k == 4 else 1.0 + k}" for k in range(6)
+    ]
+    path = tmp_path / "recording.csv"
+    path.write_text("\n".join(["plane,x,y,z,qx,qy,qz,qw,range_1", *rows]) + "\n")
+    given = hl.LogFormat(pose_format="ros", as_stated=True)
+    found = hl.read_log(path, given) if log else read_recording(path)
+    empty, code = sorted(one.message for one in found.warnings)
+    assert "one reading of '---'" in code
+    assert empty == "2 of 6 stations have no reading, and were left out"

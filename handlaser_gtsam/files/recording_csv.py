@@ -33,6 +33,7 @@ from ..errors import CalibrationWarning, InputError
 from ..model.conventions import LENGTHS, UNIT_WORDS
 from ..model.sensor_limits import Sensor
 from ..quantities import IN_MM, LARGEST_LENGTH, MAJORITY, MM
+from ..results.messages import warned
 from ..text import A_NAME, name_fault
 from .table import FileTable, column_numbers, labels, read_table
 from .writing import path_of, write_text
@@ -96,6 +97,10 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     unread = np.array([plane not in read for plane in planes])
     found = f"plane {planes[unread.argmax()]!r} without any reading"
     table.refuse(unread, "plane", "at least one reading of every plane", found)
+    empty = int((~(seen | coded).any(axis=1)).sum())  # of codes it is said already
+    if empty:
+        left_out = {"stations": empty, "total": len(seen)}
+        warnings = (*warnings, warned("stations-left-out", left_out, nothing=""))
     return Recording(
         R,
         t,

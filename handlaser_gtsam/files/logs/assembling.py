@@ -65,6 +65,10 @@ def assembled(
     if log.times is not None:  # stations in time: a stand may be without a reading
         chosen, unread = with_readings(chosen, np.asarray(~np.isnan(mean).all(axis=1)), path)
         warnings = (*warnings, *unread)
+    else:  # of codes it is said already
+        said = np.isin(np.arange(len(chosen)), log.station[readings.with_codes])
+        empty = chosen & np.isnan(mean).all(axis=1) & ~said
+        warnings = (*warnings, *_left_out(empty, "have no reading"))
     R, t = hand_poses(poses.posed, log.way, given)
     both = (poses,) if readings is poses else (poses, readings)
     rows = np.flatnonzero(chosen)

@@ -79,6 +79,12 @@ class LogRows(NamedTuple):
         assert self.times is not None
         return self.times
 
+    @property
+    def with_codes(self) -> BoolArray:
+        """The rows (M,) of the file in which a cell says that there is no reading."""
+        rows = len(self.table.frame)
+        return np.asarray(np.zeros(rows, bool) if self.coded is None else self.coded.any(axis=1))
+
     def code_warnings(self, counted: BoolArray) -> tuple[CalibrationWarning, ...]:
         """Return a warning for each code for "no reading" among the rows that are `counted` (M,)."""
         if self.coded is None:
