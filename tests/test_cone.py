@@ -19,6 +19,7 @@ from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.files.input_reading import read_any_kind
 from handlaser_gtsam.files.rig_toml import read_rig
 from handlaser_gtsam.model.families import BEAM, FAMILIES, PLANE, POSE
+from handlaser_gtsam.model.geometry import normalized
 from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
 from handlaser_gtsam.model.sensors.beam import BeamSensor
 from handlaser_gtsam.model.targets.plane import PlaneTarget
@@ -280,6 +281,42 @@ def test_rough_readings_whose_noise_is_not_stated_fit():
     for beam, location in zip(found.beams.values(), r, strict=True):
         error = beam.location - location
         assert error @ np.linalg.solve(beam.covariance[:3, :3], error) < chi2.ppf(1.0 - 1e-3, 3)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_noise_that_shows_before_one_plane_most_is_noise(seed):
+    """Cones of 1 mm that never lean past their half angle were no fit, with the advice to check poses.
+
+    Before one of three planes the typical reading misfits by a little more than six times the noise
+    that is usual of a beam, and by a little less before all.
+    """
+    rng = np.random.default_rng(seed)
+    r = rng.uniform(-0.06, 0.06, (2, 3))
+    v = normalized(np.column_stack((rng.uniform(-0.1, 0.1, (2, 2)), np.ones(2))))
+    R, t, ranges, labels = [], [], [], []
+    walls = [([0.1, 0.05, 1.0], 0.9), ([0.8, 0.1, 0.6], 1.2), ([-0.5, 0.7, 0.4], 1.0)]
+    for label, (n, offset) in zip("ABC", walls, strict=True):
+        n = normalized(np.array(n))
+        for _ in range(14):
+            turn = Rotation.align_vectors([n], [[0.0, 0.0, 1.0]])[0]
+            turn *= Rotation.from_euler("z", rng.uniform(-3.0, 3.0))
+            lean = rng.uniform(0.0, 0.15) * np.array([1.0, 0.0, 0.0])
+            lean = Rotation.from_euler("z", rng.uniform(-3.0, 3.0)).apply(lean)
+            hand = (turn * Rotation.from_rotvec(lean)).as_matrix()
+            place = rng.uniform(-0.3, 0.3, 3)
+            place += (offset - rng.uniform(0.3, 0.7) - n @ place) * n
+            away = offset - (place + r @ hand.T) @ n
+            tilt = np.arccos((v @ hand.T) @ n)
+            R.append(hand)
+            t.append(place)
+            labels.append(label)
+            noise = [1e-3 * rng.normal() for _ in range(2)]
+            ranges.append(away / np.cos(np.maximum(tilt - np.radians(15.0), 0.0)) + noise)
+    stations = hl.StationList(np.array(R), np.array(t), tuple(labels))
+    half = float(np.radians(15.0))
+    found = hl.calibrate(hl.Survey(stations, (), np.array(ranges), ("1", "2"), half_angle=half))
+    assert found.verdict.code == "undetermined"
+    assert "all readings are within the cone" in found.verdict.sentence
 
 
 def test_what_is_more_than_noise_is_no_fit():

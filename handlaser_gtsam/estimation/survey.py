@@ -449,15 +449,18 @@ def _roughened(state: SurveyState) -> SurveyState | None:
 
     Nothing tells it beforehand: a beam has one reading a station, and ultrasonic sensors have up to a
     thousand times the noise of triangulating lasers. It is at most the part `ROUGHEST` of the range.
-    None where readings fit as they are, misfit by more, or their noise is stated.
+    None where the readings before every target fit as they are, misfit by more, or their noise is
+    stated.
     """
     sigma, misfit, sources = state.sizes.sigma.copy(), state.misfits(), state.rows.sources
     of_beam = [i.family == BEAM.name and i.target[0] != POINT.name for i in state.rows.items]
     source = np.where(of_beam, [sources[i.mount] for i in state.rows.items], -1)
+    target = np.array([state.rows.label(i.target) for i in state.rows.items])
     for one in np.unique(source[source >= 0]).tolist():
-        typical = float(np.median(misfit[source == one]))
-        rough = MEDIAN_TO_SIGMA * typical * sigma[one]
-        if typical > GROSS and np.isnan(state.stated.sigma[one]):
+        own, before = misfit[source == one], target[source == one]
+        worst = max(np.median(own[before == x]) for x in np.unique(before))
+        rough = MEDIAN_TO_SIGMA * float(np.median(own)) * sigma[one]
+        if worst > GROSS and np.isnan(state.stated.sigma[one]):
             if rough > ROUGHEST * state.rows.length:
                 return None
             sigma[one] = rough
