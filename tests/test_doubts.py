@@ -115,6 +115,19 @@ def test_few_readings_more_than_unknowns_are_warned_of(noise):
     assert "few-readings" not in codes(hl.calibrate(enough, noise, NONE))
 
 
+def test_few_readings_count_freed_errors():
+    recording = simulated("paper", Layout(1, 2, 11))[0]
+    sensor = hl.Sensor(kind="triangulation")
+    free = hl.CalibrationOptions("none", free=("tool-displaced",), sensor=sensor)
+    known, found = (
+        hl.calibrate(recording, hl.Noise(SIGMA, 0.0, 0.0), chosen) for chosen in (NONE, free)
+    )
+    assert (known.fit.dof, found.fit.dof) == (11, 5)
+    assert "few-readings" not in codes(known)
+    (warning,) = [one for one in found.warnings if one.code == "few-readings"]
+    assert warning.values["redundancy"] == 5
+
+
 def of_a_robot(errors, seed=3):
     """Return a recording of a robot that errs, before seven planes."""
     rng = np.random.default_rng(seed)

@@ -189,14 +189,13 @@ def fit_warnings(
             yield warned("poses-taken-as-exact")
     yield from large_pose_errors(solution.scales)
     yield from far_reading(fit)
-    redundancy = solution.redundancy
-    if redundancy < FEW_DEGREES:
-        some = f"only {count(redundancy, 'reading')} more than"
-        more = some if redundancy > 0 else "no more readings than"
+    if spare < FEW_DEGREES:
+        some = f"only {count(spare, 'reading')} more than"
+        more = some if spare > 0 else "no more readings than"
         if not fit.range_sigma_given:
-            yield warned("few-readings", {"redundancy": redundancy}, more=more)
+            yield warned("few-readings", {"redundancy": spare}, more=more)
         elif solution.observability.full:
-            yield warned("few-readings:given", {"redundancy": redundancy}, more=more)
+            yield warned("few-readings:given", {"redundancy": spare}, more=more)
 
 
 def far_reading(fit: Fit) -> Iterator[CalibrationWarning]:
