@@ -1235,6 +1235,19 @@ def test_a_range_error_with_which_no_shot_fits_is_named(k2):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("make", [rigs_by_rays.scanner, rigs_by_rays.array])
+def test_an_offset_with_which_no_shot_fits_is_named(make):
+    """Time-of-flight sensors have such; the advice was to check poses and units."""
+    survey = survey_of(make(0))
+    (shots,) = survey.shots
+    found = hl.calibrate(replace(survey, shots=(replace(shots, reading=shots.reading + 0.01),)))
+    (named,) = [one for one in found.warnings if one.code == "range-error"]
+    assert named.message in found.verdict.sentence
+    assert named.values["free"] == "k0"
+    assert named.values["size"] == pytest.approx(-0.01, rel=0.05)
+
+
+@pytest.mark.slow
 def test_positions_of_another_scale_are_named_beside_the_range_error_that_looks_like_them():
     """Readings, positions and mounts of one scale have the same residuals."""
     survey = survey_of(rigs_by_rays.scanner(0))

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..arrays import FloatArray, evenly
 from ..data.noise import Noise
-from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_label
+from ..data.survey import ERRORS, RAY_ERRORS, Known, Shots, Survey, kind_of, normal_label
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import MOST_REJECTED, Estimate
 from ..estimation.survey import (
@@ -273,14 +273,18 @@ def _misses(rows: SurveyRows, clear: SurveyEstimate, member: int) -> FloatArray:
 
 
 def curved(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
-    """Warn of sensors whose shots fit each other where k1 and k2 are unknowns, and not without them.
+    """Warn of sensors whose shots fit each other with range errors as unknowns, and not without them.
 
     Small ones show in score tests of shots that fit.
     """
     survey, given = found.rows.survey, found.given
     if not survey.shots:
         return
-    more = [replace(one, free=tuple(sorted({*one.free, "k1", "k2"}))) for one in survey.shots]
+    along = RAY_ERRORS[:3]  # k0, k1 and k2; a scale across the rays shows in score tests
+    more = [
+        replace(one, free=tuple(sorted({*one.free, *along} & {*ERRORS[one.kind]})))
+        for one in survey.shots
+    ]
     survey = replace(survey, shots=tuple(more))
     state = state_of(rows_of(survey, given), given)
     if not (begin_quickly(state) and surely_fits(state)):
@@ -290,15 +294,16 @@ def curved(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         return
     sigma = dict(zip(free.names, np.sqrt(np.diagonal(free.covariance)).tolist(), strict=True))
     for member, shots in enumerate(survey.shots):
-        k = free.values[SENSOR.name][member, 12:][[RAY_ERRORS.index(one) for one in ("k1", "k2")]]
+        k = free.values[SENSOR.name][member, 12:][: len(along)]
         sizes = {
             code: (float(size), sigma[f"{SENSOR.name}[{member}].{code}"])
-            for code, size in zip(("k1", "k2"), k, strict=True)
+            for code, size in zip(along, k, strict=True)
+            if code in ERRORS[shots.kind]
         }
         far = {
             code: abs(size) / s for code, (size, s) in sizes.items() if abs(size) > FAR_SIGMAS * s
         }
-        if not far or not plausible_factors(k, shots.reading).all():
+        if not far or not plausible_factors(k[1:], shots.reading).all():
             continue
         code = max(far, key=lambda one: far[one])
         size, of_size = sizes[code]
