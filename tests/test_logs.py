@@ -4,6 +4,7 @@ import inspect
 import json
 import math
 import re
+import shlex
 import zipfile
 from dataclasses import fields, replace
 from typing import get_args
@@ -791,35 +792,73 @@ def test_options_that_are_named_read_the_file(tmp_path, name, divided, angles):
     assert_poses(found, recording.world_R_hand, recording.world_t_hand)
 
 
-COLUMNS_OF_OTHERS = [
-    ("mitsubishi", "doosan", "doosan", "mitsubishi"),
-    ("staubli", "doosan", "ur", "staubli"),
-    (
+OTHER_COLUMNS = {
+    "x y z a b c": ("mitsubishi", "doosan", (), "--pose-format mitsubishi"),
+    "x y z rx ry rz": ("staubli", "yaskawa", (), "--pose-format staubli"),
+    "X Y Z A B C": (
         "staubli",
         "kuka",
-        "kuka",
+        (),
         "--rotation XYZ --units mm --angles deg --pose-columns X,Y,Z,A,B,C",
     ),
-]
-"""What a file is written in, what it is read as, whose names its columns have, and what is named."""
+    "X:[mm] Y:[mm] Z:[mm] A B C": (
+        "staubli",
+        "kuka",
+        (),
+        "--rotation XYZ --units mm --angles deg --pose-columns 'X [mm],Y [mm],Z [mm],A,B,C'",
+    ),
+    "tcp_x tcp_y tcp_z rx ry rz": (
+        "staubli",
+        "kuka",
+        ("--pose-columns", "tcp_x,tcp_y,tcp_z,rx,ry,rz"),
+        "--rotation XYZ --units mm --angles deg --pose-columns tcp_x,tcp_y,tcp_z,rx,ry,rz",
+    ),
+    "T[0] T[1] T[2] T[5] T[4] T[3] T[6]": (
+        "staubli",
+        "kuka",
+        ("--pose-columns", "T[0],T[1],T[2],T[5],T[4],T[3]"),
+        "--pose-columns 'T[0],T[1],T[2],T[5],T[4],T[3]'",
+    ),
+}
+"""By names of columns: what poses are written in and read as, with what options, and what is named."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("written_in", "read_as", "names_of", "named"), COLUMNS_OF_OTHERS)
-def test_options_that_are_named_find_the_columns_of_the_file(
-    tmp_path, handlaser, refusal, written_in, read_as, names_of, named
-):
+@pytest.mark.parametrize("names", OTHER_COLUMNS)
+def test_options_that_are_named_find_the_columns_of_the_file(tmp_path, handlaser, refusal, names):
     """Formats were named that look for other columns, and `--pose-columns NAMES` without the names."""
+    written_in, read_as, options, named = OTHER_COLUMNS[names]
     recording = log_recording("paper", "tool down")
+    columns = [one.replace(":", " ") for one in names.split()]
+    rows = numbers(recording, FORMATS[written_in])
+    if len(columns) > 6:
+        rows = np.column_stack((rows, np.zeros(len(rows))))
     extra = [("plane", recording.plane_labels)]
     extra += [(f"range_{b}", d.tolist()) for b, d in zip("ab", recording.ranges.T, strict=False)]
     path = tmp_path / "log.csv"
-    rows = numbers(recording, FORMATS[written_in])
-    path.write_text(text_of(CONTROLLERS[names_of].names, rows, extra))
-    said = refusal("convert", path, "--pose-format", read_as)
-    words = named if named.startswith("--") else f"--pose-format {named}"
-    assert words in said
-    assert handlaser("convert", path, *words.split())[0] == 0
+    path.write_text(text_of(columns, rows, extra))
+    said = refusal("convert", path, "--pose-format", read_as, *options)
+    assert named in said
+    found = re.search(r"(--(rotation|pose-format).*?), than as stated", said)[1]
+    assert handlaser("convert", path, *shlex.split(found))[0] == 0
+
+
+def test_a_tool_that_is_no_pose_is_told_of_formats_of_the_file(tmp_path, refusal):
+    path = tmp_path / "log.csv"
+    rows = [[0.1 * i, 0.2, 0.3, 0.1 * i, 0.2, 0.3] for i in range(4)]
+    names = ["x", "y", "z", "roll", "pitch", "yaw"]
+    path.write_text(text_of(names, rows, [("plane", ["A"] * 4), ("range_1", [0.1] * 4)]))
+    said = refusal("convert", path, "--pose-format", "urdf-rpy", "--tool", "0,0,120,0,0,0")
+    assert "then state --pose-format urdf-rpy --units mm" in said
+
+
+def test_numbers_that_cannot_be_are_told_of_formats_of_the_file(tmp_path, refusal):
+    path = tmp_path / "log.csv"
+    rows = [[100.0 * i, 200.0, 300.0, 0.1 * i, 0.2, 0.3] for i in range(4)]
+    names = ["x", "y", "z", "roll", "pitch", "yaw"]
+    path.write_text(text_of(names, rows, [("plane", ["A"] * 4), ("range_1", [0.1] * 4)]))
+    said = refusal("convert", path, "--pose-format", "urdf-rpy")
+    assert "is it millimetres? then state --pose-format urdf-rpy --units mm" in said
 
 
 @pytest.mark.slow

@@ -1255,12 +1255,15 @@ def test_positions_of_another_scale_are_named_beside_the_range_error_that_looks_
     survey = replace(survey, stations=stations)
     sentence = hl.calibrate(survey).verdict.sentence
     assert "reads with an error k1 of 0.15" in sentence
-    assert "or positions of the hand are 1.15 times too large" in sentence
+    assert "or positions of the hand are 1.15 times what they should be" in sentence
     assert "the units" in sentence
     (shots,) = survey.shots
     found = hl.calibrate(replace(survey, shots=(replace(shots, free=("k1",)),)))
     assert found.verdict.code == "usable-with-care"
     assert "the error k1 of sensor" in found.verdict.sentence
-    assert "or positions of the hand are 1.15 times too large" in found.verdict.sentence
+    assert "or positions of the hand are 1.15 times what they should be" in found.verdict.sentence
     (warning,) = [one for one in found.warnings if one.code == "large-range-error"]
     assert warning.values["size"] == pytest.approx(0.15, rel=0.01)
+    stations = replace(survey.stations, world_t_hand=survey.stations.world_t_hand / 1.15**2)
+    found = hl.calibrate(hl.Survey(stations, (replace(shots, free=("k1",)),)))
+    assert "or positions of the hand are 0.8696 times what they should be" in found.verdict.sentence

@@ -17,7 +17,7 @@ from .checked_text import in_file
 from .logs.assembling import averaged, how_joined, odd_readings, targets_of
 from .logs.bags import is_bag
 from .logs.columns import names_ranges
-from .logs.format import NO_HALF_ANGLE
+from .logs.format import NO_HALF_ANGLE, LogFormat
 from .logs.format_checks import convention_of
 from .logs.poses import hand_poses
 from .logs.reading import (
@@ -71,8 +71,7 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         ranges, beams = read.ranges, read.beam_names
     elif is_log(path, log, readings=names_ranges(log)):
         of_log = _of_log(path, rig)
-        stations, numbers, ranges, beams = of_log[:4]
-        log = replace(log, pose_columns=of_log.header)
+        stations, numbers, ranges, beams, log = of_log[:5]
         shots, lines, coded = tables.shots(stations.station_names, log.station_column)
         lines, coded = (*of_log.lines, *lines), (*of_log.warnings, *coded)
     else:
@@ -115,8 +114,8 @@ class _LogStations(NamedTuple):
     ranges : (S, B), optional
         [m]; None where the log has poses only.
     beams : tuple of str
-    header : tuple of str
-        What the columns of the poses are called.
+    log : LogFormat
+        How the log is written, with the columns of its poses.
     lines : tuple of str
         How the log was read, for a person.
     warnings : tuple of CalibrationWarning
@@ -126,7 +125,7 @@ class _LogStations(NamedTuple):
     numbers: FloatArray
     ranges: FloatArray | None
     beams: tuple[str, ...]
-    header: tuple[str, ...]
+    log: LogFormat
     lines: tuple[str, ...]
     warnings: tuple[CalibrationWarning, ...]
 
@@ -169,7 +168,8 @@ def _of_log(path: Path, rig: Rig) -> _LogStations:
         log = joined_tables(path, given, rig.sensor, needed=False)
         labels, chosen, warnings = targets_of(log, given)
         kept = np.flatnonzero(chosen)
-        R, t = hand_poses(log.poses.posed, log.way, given)
+        named = replace(given, pose_columns=log.poses.columns.pose)  # so that advice says them
+        R, t = hand_poses(log.poses.posed, log.way, named)
         names = tuple(log.names[i] for i in kept.tolist())
         stations = StationList(R[kept], t[kept], tuple(labels[i] for i in kept.tolist()), names)
     poses, readings = log.poses, log.readings
@@ -191,7 +191,7 @@ def _of_log(path: Path, rig: Rig) -> _LogStations:
         poses.posed[log.way.row[log.way.start]][kept],
         ranges if readings.beams else None,
         readings.beams,
-        poses.columns.pose,
+        named,
         lines,
         (*of_rows, *log.warnings, *warnings),
     )

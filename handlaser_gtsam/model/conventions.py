@@ -50,6 +50,14 @@ UNIT_IN_NAME = re.compile(
 
 `laser_in` is the input of a laser.
 """
+POSITIONS = (
+    *(
+        tuple(before + axis for axis in "xyz")
+        for before in ("", "t", "p", "pos_", "position.", "pose.position.", "translation.")
+    ),
+    ("actual_tcp_pose_0", "actual_tcp_pose_1", "actual_tcp_pose_2"),
+)
+"""What the columns of positions are usually called."""
 EULER = re.compile(r"(?!(.)\1|.(.)\2)([xyz]{3}|[XYZ]{3})")
 """Three axes of which neighbours differ."""
 ROTATIONS = (
@@ -212,7 +220,7 @@ def called(convention: Convention) -> str:
     They are the name of a format, with its units where these are others, or all is spelled out; and the
     columns, where nothing else finds them.
     """
-    alike = [name for name, one in FORMATS.items() if finds(one.columns, convention.header)]
+    alike = [name for name, one in FORMATS.items() if finds(one, convention.header)]
     names = [name for name in formats_of(convention.meaning) if name in alike]
     if names:
         others = f" (as {', '.join(names[1:])})" if names[1:] else ""
@@ -226,20 +234,18 @@ def called(convention: Convention) -> str:
         angles = angles if known.angles != convention.angles else ""
         return f"--pose-format {base}{units}{angles}"
     words = f"--rotation {convention.rotation}{units}{angles}"
-    if not finds(spelled_columns(convention.rotation), convention.header):
-        words += f" --pose-columns {shlex.quote(','.join(_arrays(convention.header)))}"
+    spelled = Convention(convention.rotation, columns=spelled_columns(convention.rotation))
+    if not finds(spelled, convention.header):
+        words += f" --pose-columns {shlex.quote(','.join(convention.header))}"
     return words
 
 
-def _arrays(header: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of columns, but of an array, name[0], name[1], ..., its own name once."""
-    return tuple(dict.fromkeys(re.sub(r"\[\d+\]$", "", name) for name in header))
-
-
-def finds(columns: tuple[tuple[str, ...], ...], header: tuple[str, ...]) -> bool:
-    """Tell whether the rotation of poses has one of some columns; any, where no header is known."""
+def finds(convention: Convention, header: tuple[str, ...]) -> bool:
+    """Tell whether a file with a header has the columns of a convention; any, where none is known."""
     names = tuple(map(plain, header))
-    return not header or any(names[-len(one) :] == one for one in columns)
+    if not names or (convention.is_matrix and names in convention.columns):
+        return True
+    return names[:3] in POSITIONS and names[3:] in convention.columns
 
 
 def plain(name: str) -> str:

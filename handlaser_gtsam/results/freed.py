@@ -266,7 +266,8 @@ class _Errors:
         position = problem.order.stations[still.station]
         channel = problem.order.beams
         seen = SeenStations(solution.parameters, moved, position, channel)
-        before = SeenStations(solution.parameters, still, position, channel)
+        every = recorded.recording
+        before = SeenStations(solution.parameters, still, position, channel, recorded=every)
         columns, longer, twists, bends = [], [], [], []
         self.members: list[Member] = []
         stations = problem.recording.station_names

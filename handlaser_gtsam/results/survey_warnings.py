@@ -169,7 +169,7 @@ def _large_range_errors(
 ) -> Iterator[CalibrationWarning]:
     """Warn of range errors that no sensor has: they stand for another form, or for wrong poses.
 
-    Of many rays they are as far from zero as no error is by their prior.
+    Those of many rays have a prior of what is usual, and are far from it.
     """
     for name, sensor in sensors.items():
         for code, size in sensor.range_error.items():
@@ -177,7 +177,8 @@ def _large_range_errors(
             if abs(size) > FAR_SIGMAS * expected:
                 values: Values = {"sensor": name, "code": code, "size": size, "expected": expected}
                 also = said("scaled-instead", times=1.0 + size) if code == "k1" else ""
-                yield warned("large-range-error:sensor", values, also=also)
+                unit = {"k0": " m", "k2": "/m"}.get(code, "")
+                yield warned("large-range-error:sensor", values, unit=unit, also=also)
     if beams:
         k = np.array([one.range_error for one in beams.values()])
         typical, linearity = found.rows.length, found.rows.survey.linearity

@@ -69,7 +69,8 @@ def assembled(
         said = np.isin(np.arange(len(chosen)), log.station[readings.with_codes])
         empty = chosen & np.isnan(mean).all(axis=1) & ~said
         warnings = (*warnings, *_left_out(empty, "have no reading"))
-    R, t = hand_poses(poses.posed, log.way, given)
+    named = replace(given, pose_columns=poses.columns.pose)  # so that advice says them
+    R, t = hand_poses(poses.posed, log.way, named)
     both = (poses,) if readings is poses else (poses, readings)
     rows = np.flatnonzero(chosen)
     recording = Recording(
@@ -85,7 +86,6 @@ def assembled(
         min(0.0, sensor.range_min),
     )
     doubts = held_poses(recording)
-    named = replace(given, pose_columns=poses.columns.pose)
     doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, named)
     recording = replace(recording, warnings=(*recording.warnings, *doubts))
     scatter_of = zip(readings.beams, scatters[1:].tolist(), strict=True)

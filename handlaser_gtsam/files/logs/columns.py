@@ -9,6 +9,7 @@ from ...model.conventions import (
     ANGLES,
     FORMATS,
     LENGTHS,
+    POSITIONS,
     TIME_UNITS,
     UNIT_IN_NAME,
     plain,
@@ -18,13 +19,6 @@ from ..table import FileTable
 from .format import LogFormat
 from .format_checks import convention_of
 
-POSITIONS = (
-    *(
-        tuple(before + axis for axis in "xyz")
-        for before in ("", "t", "p", "pos_", "position.", "pose.position.", "translation.")
-    ),
-    ("actual_tcp_pose_0", "actual_tcp_pose_1", "actual_tcp_pose_2"),
-)
 TIMES = ("time", "timestamp", "stamp", "t", "time_s")
 RANGE = "range_"
 

@@ -117,7 +117,7 @@ def _others(other: Convention) -> str:
         for name, one in FORMATS.items()
         if (one.numbers, one.units, other.has_angles and one.angles) == units
         and one.meaning != other.meaning
-        and finds(one.columns, other.header)
+        and finds(one, other.header)
     ]
     words = f"then state {called(other)}"
     return words + (f", or --pose-format {'|'.join(alike)} if it is one of those" if alike else "")

@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 from ...arrays import FloatArray, IntArray
 from ...data.parameters import Parameters
 from ...data.readings import Readings
+from ...data.recording import Recording
 from ...quantities import IN_MM, IN_PERCENT
 from ..equation import Linearization, Scene, linearize, residuals, scene
 from ..weighting import slopes
@@ -52,6 +53,8 @@ class SeenStations:
     plates : (P, 3) and float, optional
         Middle of each plate, and the squared distance from there of the farthest spot [m^2]; taken
         from the spots where not given.
+    recorded : Recording, optional
+        All stations, also those without a reading that counts; those seen where not given.
 
     Attributes
     ----------
@@ -67,7 +70,9 @@ class SeenStations:
         channel: IntArray,
         middle: FloatArray | None = None,
         plates: tuple[FloatArray, float] | None = None,
+        recorded: Recording | None = None,
     ) -> None:
+        self.recorded = recorded
         self.at, self.readings, self.position, self.channel = at, readings, position, channel
         if middle is not None:
             self.middle = middle

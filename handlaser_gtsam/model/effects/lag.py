@@ -54,7 +54,11 @@ def to_neighbours(plane: IntArray, R: FloatArray, t: FloatArray) -> tuple[FloatA
 
 def _parabola(stations: SeenStations) -> tuple[FloatArray, FloatArray]:
     """Return step and bend (S, 6) of every station, from the recorded poses."""
-    readings, row = stations.readings, stations.first[0]
+    readings, row, every = stations.readings, stations.first[0], stations.recorded
+    if every is not None:
+        ways = to_neighbours(every.plane_of_station, every.world_R_hand, every.world_t_hand)
+        step, bend = parabola(*ways)
+        return step[stations.position[row]], bend[stations.position[row]]
     order = np.argsort(stations.position[row])
     placed, in_time = np.argsort(order), row[order]
     R, t = readings.world_R_hand[in_time], readings.world_t_hand[in_time]

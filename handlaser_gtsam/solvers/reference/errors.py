@@ -151,11 +151,12 @@ class SystematicErrors:
     def _step_and_bend(self) -> FloatArray:
         """Return half of the difference and of the sum of the ways (2, M, 6) on and back.
 
-        The first and the last station of a plane lie on a line with their neighbour.
+        The first and the last station of a plane lie on a line with their neighbour. Stations without a
+        reading are on the way, too.
         """
         R, t = self.recording.world_R_hand, self.recording.world_t_hand
-        found = np.zeros((2, len(t), 6))
-        for own in self._by_plane():
+        plane, found = self.recording.plane_of_station, np.zeros((2, len(t), 6))
+        for own in [np.flatnonzero(plane == one) for one in np.unique(plane)]:
             for place, station in enumerate(own):
                 ways = []
                 for by in (-1, 1):
