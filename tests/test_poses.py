@@ -353,6 +353,18 @@ def test_sigmas_stay_as_stated_where_another_error_explains_the_misfit():
     assert not [one for one in found.warnings if "stated" in one.values]
 
 
+@pytest.mark.parametrize("length", [0.012, 0.016, 0.022])
+def test_a_longer_tool_from_a_plane_on_is_named_where_no_noise_is_stated(length):
+    """Errors of the hand are learned as large as it makes them, and it is known to millimetres only."""
+    recording, _ = robot(2, Layout(beams=4, planes=4, stations=14))
+    late = np.arange(len(recording.plane_labels))[:, None] >= 28
+    t = recording.world_t_hand + late * length * recording.world_R_hand[:, :, 2]
+    found = hl.calibrate(replace(recording, world_t_hand=t))
+    assert found.verdict.code == "systematic-error"
+    (tool,) = (one for one in found.systematic if one.code == "tool-displaced")
+    assert abs(tool.size) == pytest.approx(length, rel=0.2)
+
+
 def test_of_a_covariance_of_the_poses_nothing_is_contradicted():
     recording, _ = robot(0, Layout(beams=3, planes=6, stations=12))
     covariance = np.diag([(0.1 * ROTATION) ** 2] * 3 + [(0.1 * TRANSLATION) ** 2] * 3)
