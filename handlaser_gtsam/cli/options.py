@@ -119,7 +119,7 @@ class Model:
     estimate_noise : bool
         Estimate the sigmas of ranges and poses even where they are given.
     range_sigma_by_beam : bool
-        Estimate the range sigma of each beam.
+        Estimate the range sigma of each beam, not only of those that are clearly rougher.
     free : str, optional
         Systematic errors that are unknowns, each under a prior of its plausible size: --free
         lag,incidence (docs/messages.md has all codes).
@@ -144,7 +144,9 @@ class Model:
         free = () if self.free is None else tuple(code.strip() for code in self.free.split(","))
         if not all(free):
             raise InputError(f"--free {shown(self.free)}", "codes, with one comma between two")
-        return CalibrationOptions(**asdict(self) | more | {"free": free, "sensor": rig.sensor})
+        by_beam = True if self.range_sigma_by_beam else None
+        own = {"free": free, "sensor": rig.sensor, "range_sigma_by_beam": by_beam}
+        return CalibrationOptions(**asdict(self) | more | own)
 
 
 def metres(at_range_mm: float | None) -> float | None:

@@ -18,7 +18,7 @@ from ..data.parameters import Parameters, RangeErrorPrior, per_beam
 from ..data.recording import Readings
 from ..model.beams_on_planes import CENTRE, parameters_of, values_of
 from ..model.damped_search import LevenbergOptions, RobustLoss, Searched, search
-from ..model.distributions import UNLIKELY_EXCESS
+from ..model.distributions import FAMILY_LEVEL, UNLIKELY_EXCESS, f_sf
 from ..model.equation import residuals, residuals_or_infinite, scene
 from ..model.families import BEAM, PLANE
 from ..model.losses import GAUSSIAN, Loss
@@ -26,14 +26,14 @@ from ..model.weighting import Variances, Whitening, unequal, weighed, whitening
 from ..observability.other_solutions import Judge, least_observed
 from ..observability.rank import Observability, observability
 from ..progress import Trial, tell_trial
-from ..quantities import EXACT, MOST_ROUNDS, UNIT_SIGMA
+from ..quantities import EXACT, MOST_ROUNDS, TINY, UNIT_SIGMA
 from ..solvers.beam_problem import beam_problem, require_steep
 from ..solvers.graph import PosePriors, build_graph, pose_priors
 from ..solvers.graph_levenberg import LevenbergResult, Status, levenberg_marquardt
 from ..solvers.gtsam_sums import eliminated_sums
 from ..text import count
 from .learning_scales import ScaleProblem
-from .options import CalibrationOptions
+from .options import READINGS_OF_A_SIGMA, CalibrationOptions
 from .scales import MOST_POSE_ERROR, RANGE, Scales, start_of, unknown_scales, with_scales
 from .solution import Minimum, Solution, covariance_by_gtsam, numbered, posterior
 
@@ -99,6 +99,9 @@ def settle(
         return settle(readings, first.parameters, noise.without(gone), options, scale, prior)
     if task.learns or not alike or unequal(base, task.terms, readings):
         task.solution = task.settled(first)
+    while options.range_sigma_by_beam is None and (own := task.with_rough_beam()) is not None:
+        task.scales = own
+        task.solution = task.settled(task.solution)
     return task
 
 
@@ -247,6 +250,39 @@ class SolutionTask:
             return found[best] - found[1.0] > enough
         others = stated.without_each_beam()
         return all(probability(one, 1.0) - probability(one, best) <= enough for one in others)
+
+    def with_rough_beam(self) -> Scales | None:
+        """Return the scales with a range sigma of its own for the roughest beam; None where none is.
+
+        The beam whose whitened residuals are the largest beside those of all others by an F test is
+        that, if the readings are more probable by 1 / `SINGLE_LEVEL` for each beam with another sigma.
+        """
+        common, solution, readings = self.scales.common, self.solution, self.readings
+        learned = self.learns and self.loss == GAUSSIAN and solution.observability.full
+        if common is None or not learned or len(self.scales.own) >= MANY_BEAMS:
+            return None
+        alike = np.delete(np.arange(readings.beams), self.scales.own)
+        number = np.bincount(readings.beam, minlength=readings.beams)[alike]
+        squares = np.bincount(readings.beam, solution.at.white**2, readings.beams)[alike]
+        if len(alike) < 2 or number.max() == number.sum():
+            return None
+        # Each beam has as large a part of the degrees of freedom as of the readings.
+        dof = number * max(self.redundancy, 1) / len(readings)
+        rest, rest_dof = squares.sum() - squares, dof.sum() - dof
+        ratio = squares / dof / np.maximum(rest / rest_dof, TINY)
+        chance = np.where(number >= READINGS_OF_A_SIGMA, f_sf(ratio, dof, rest_dof), 1.0)
+        roughest = int(chance.argmin())
+        if chance[roughest] * len(alike) > FAMILY_LEVEL:
+            return None
+        scales = self.scales.beside(int(alike[roughest]))
+        problem = replace(self._scale_problem(solution), scales=scales)
+        same = np.append(self.logs, self.logs[common])
+        start = same.copy()
+        start[-1] += 0.5 * np.log(ratio[roughest])
+        at = np.stack((problem.mode(start), same))
+        probable, as_one = problem.log_posterior(at).tolist()
+        enough = 0.5 * UNLIKELY_EXCESS + np.log(len(alike))
+        return scales if probable - as_one > enough else None
 
     @property
     def redundancy(self) -> int:

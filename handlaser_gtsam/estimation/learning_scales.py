@@ -344,11 +344,13 @@ class ScaleProblem:
     @cached_property
     def _part(self) -> "ScaleProblem":
         """The problem in which scales are searched for: a part of many readings, or this problem."""
-        readings, beams = self.readings, np.arange(self.readings.beams)
-        if self.scales.common:  # the beams are alike
-            beams = evenly(readings.beams, REPRESENTATIVE_BEAMS)
+        readings, own = self.readings, self.scales.own
+        alike = np.delete(np.arange(readings.beams), own)
+        if np.ptp(self.scales.range_sigma) == 0.0:
+            alike = alike[evenly(len(alike), REPRESENTATIVE_BEAMS)]
+        beams = np.union1d(own, alike).astype(np.intp)
         few = part_of(readings.subset(np.flatnonzero(np.isin(readings.beam, beams))))
-        return self if len(few) == len(readings) else self._of(beams, few, self.scales)
+        return self if len(few) == len(readings) else self._of(beams, few)
 
     def without_each_beam(self) -> Iterator["ScaleProblem"]:
         """Yield the problems of all beams but one, of those in which scales are searched for."""
@@ -356,15 +358,9 @@ class ScaleProblem:
         for beam in range(part.readings.beams):
             others = np.delete(np.arange(part.readings.beams), beam)
             few = part.readings.subset(np.flatnonzero(part.readings.beam != beam))
-            unknown = tuple(
-                one if one.beam is None else replace(one, beam=one.beam - (one.beam > beam))
-                for one in part.scales.unknown
-                if one.beam != beam
-            )
-            sigma = part.scales.range_sigma[others]
-            yield part._of(others, few, replace(part.scales, unknown=unknown, range_sigma=sigma))
+            yield part._of(others, few)
 
-    def _of(self, beams: IntArray, few: Readings, scales: Scales) -> "ScaleProblem":
+    def _of(self, beams: IntArray, few: Readings) -> "ScaleProblem":
         """Return the problem of some readings, which are of some beams."""
         planes = np.unique(few.plane)
         few = replace(
@@ -375,7 +371,7 @@ class ScaleProblem:
             planes=len(planes),
         )
         parameters = self.parameters.part(beams, planes)
-        return replace(self, parameters=parameters, readings=few, scales=scales)
+        return replace(self, parameters=parameters, readings=few, scales=self.scales.of(beams))
 
     @cached_property
     def _wide(self) -> RangeErrorGrid:

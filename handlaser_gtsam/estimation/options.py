@@ -41,8 +41,9 @@ class CalibrationOptions:
         How errors of the hand poses count: not at all, in the weights of the readings of a station
         together, or as a variable a station. `auto` is `exact` where the noise says that poses do not
         err, else `marginalised`. Pose sigmas that the noise does not give are estimated.
-    range_sigma_by_beam : bool
-        Whether every beam has a range sigma of its own, which is estimated.
+    range_sigma_by_beam : bool, optional
+        Whether every beam has a range sigma of its own, which is estimated. Where not given, one sigma
+        is estimated for all, and one more for each beam that is clearly rougher.
     estimate_noise : bool
         Whether the sigmas of ranges, hand translations and hand rotations are estimated though they are
         given. Given sigmas of the hand are then the scales of their priors; a given range sigma is
@@ -67,7 +68,7 @@ class CalibrationOptions:
     outliers: Outliers = "reject"
     loss: LossName = "gaussian"
     poses: Poses = "auto"
-    range_sigma_by_beam: bool = False
+    range_sigma_by_beam: bool | None = None
     estimate_noise: bool = False
     free: tuple[str, ...] = ()
     sensor: Sensor = field(default_factory=Sensor)
@@ -79,7 +80,8 @@ class CalibrationOptions:
         require_word("outliers", self.outliers, get_args(Outliers))
         require_word("loss", self.loss, TUNING)
         require_word("poses", self.poses, get_args(Poses))
-        require_bool("range_sigma_by_beam", self.range_sigma_by_beam)
+        if self.range_sigma_by_beam is not None:
+            require_bool("range_sigma_by_beam", self.range_sigma_by_beam)
         require_bool("estimate_noise", self.estimate_noise)
         require_names("codes of free", self.free)
         for code in self.free:

@@ -13,12 +13,12 @@ unknown, noise and options say (`unknown_scales`).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..data.noise import LEAST_SIGMA, Noise
 from ..data.recording import Readings
 from ..data.value import Value
@@ -169,9 +169,31 @@ class Scales(Value):
         return tuple(scale for scale in self.unknown if scale.name != RANGE)
 
     @property
-    def common(self) -> bool:
-        """Whether all beams have one range sigma."""
-        return not np.ptp(self.range_sigma) and all(scale.beam is None for scale in self.unknown)
+    def common(self) -> int | None:
+        """Which of the unknown scales is the range sigma of all beams without one of their own."""
+        places = [i for i, one in enumerate(self.unknown) if (one.name, one.beam) == (RANGE, None)]
+        return places[0] if places else None
+
+    @property
+    def own(self) -> list[int]:
+        """Beams that have a range sigma of their own among the unknown scales."""
+        return [scale.beam for scale in self.unknown if scale.beam is not None]
+
+    def of(self, beams: IntArray) -> "Scales":
+        """Return the scales of some beams, in ascending order."""
+        place = {beam: number for number, beam in enumerate(beams.tolist())}
+        unknown = tuple(
+            scale if scale.beam is None else replace(scale, beam=place[scale.beam])
+            for scale in self.unknown
+            if scale.beam is None or scale.beam in place
+        )
+        return replace(self, unknown=unknown, range_sigma=self.range_sigma[beams])
+
+    def beside(self, beam: int) -> "Scales":
+        """Return the scales with a range sigma of its own for a beam, apart from the one of all."""
+        assert self.common is not None, "all beams have one"
+        own = replace(self.unknown[self.common], beam=beam)
+        return replace(self, unknown=(*self.unknown, own))
 
     @property
     def bounds(self) -> FloatArray:

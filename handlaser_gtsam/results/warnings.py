@@ -188,6 +188,7 @@ def fit_warnings(
         if noise.poses_uncertain:
             yield warned("poses-taken-as-exact")
     yield from large_pose_errors(solution.scales)
+    yield from _rough_beams(solution.scales, names)
     yield from far_reading(fit)
     if spare < FEW_DEGREES:
         some = f"only {count(spare, 'reading')} more than"
@@ -196,6 +197,18 @@ def fit_warnings(
             yield warned("few-readings", {"redundancy": spare}, more=more)
         elif solution.observability.full:
             yield warned("few-readings:given", {"redundancy": spare}, more=more)
+
+
+def _rough_beams(
+    learned: Iterable[NoiseComponent], names: Sequence[str]
+) -> Iterator[CalibrationWarning]:
+    """Warn of beams for which one range sigma was learned, because that of all others does not hold."""
+    of_ranges = {one.beam: one.sigma for one in learned if one.quantity == RANGE}
+    others = of_ranges.pop(None, None)
+    for beam, sigma in of_ranges.items():
+        if others is not None and beam is not None:
+            values: Values = {"beam": names[int(beam)], "sigma": sigma, "others": others}
+            yield warned("rough-beam:own", values)
 
 
 def far_reading(fit: Fit) -> Iterator[CalibrationWarning]:

@@ -82,6 +82,8 @@ class Session:
             raise ArgumentError("loss", loss, "the gaussian loss")
         self.options.require_consistent(self.noise)
         prior_sizes(self.options.free, self.options.sensor, 1.0)
+        # Planes are added with one range sigma of all beams.
+        self.options = replace(self.options, range_sigma_by_beam=False)
         self._early, self._now = Contents(), None
         self._screening: tuple[CalibrationWarning, ...] = ()
         self._lock = RLock()

@@ -1,0 +1,129 @@
+"""A beam that errs by more than the others gets a range sigma of its own where none is stated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.validation.scenes import SCENES, Errors, Layout, simulate
+
+USUAL, SHIFT, TURN = 2e-5, 5e-5, np.radians(5e-3)
+
+
+def recorded(seed, layout, rough=None, sigma=2e-4):
+    """Return a recording by a robot that errs, and its truth; beam number `rough` errs by `sigma`."""
+    rng = np.random.default_rng(seed)
+    truth, stations = SCENES["paper"](layout, rng)
+    recording = simulate(truth, stations, Errors(USUAL, SHIFT, TURN), rng)
+    ranges = recording.ranges.copy()
+    if rough is not None:
+        ranges[:, rough] += sigma * rng.standard_normal(len(ranges))
+    return replace(recording, ranges=ranges), truth
+
+
+def rough_beams(calibration):
+    return [one.values for one in calibration.warnings if one.code == "rough-beam"]
+
+
+def squared_errors(calibration, truth):
+    """Return squares of the errors of each mount in its own covariance, over the numbers in it."""
+    errors = np.hstack(
+        (
+            calibration.parameters().locations - truth.locations,
+            calibration.parameters().directions - truth.directions,
+        )
+    )
+    squares = []
+    for beam, error in zip(calibration.beams.values(), errors, strict=True):
+        inverse = np.linalg.pinv(beam.covariance[:6, :6], rcond=1e-9, hermitian=True)
+        squares.append(error @ inverse @ error / 5.0)
+    return np.array(squares)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_rough_beam_is_named_with_its_own_sigma_and_all_mounts_are_honest(seed):
+    recording, truth = recorded(seed, Layout(beams=4, planes=4, stations=12), rough=2)
+    found = hl.calibrate(recording)
+    (rough,) = rough_beams(found)
+    assert rough["beam"] == recording.beam_names[2]
+    assert rough["sigma"] == pytest.approx(2e-4, rel=0.35)
+    assert rough["others"] == pytest.approx(USUAL, rel=0.5)
+    assert found.verdict.code == "usable-with-care"
+    assert squared_errors(found, truth).mean() < 2.5
+    one = hl.calibrate(recording, options=hl.CalibrationOptions(range_sigma_by_beam=False))
+    assert not rough_beams(one)
+    # One sigma of all leaves the others too unsure.
+    sizes = [[beam.sigma[:3].max() for beam in each.beams.values()] for each in (found, one)]
+    assert (np.delete(sizes[0], 2) < np.delete(sizes[1], 2)).all()
+
+
+def test_of_two_beams_it_is_the_same_as_a_sigma_by_beam():
+    recording, _ = recorded(5, Layout(beams=2, planes=4, stations=12), rough=0)
+    found = hl.calibrate(recording)
+    each = hl.calibrate(recording, options=hl.CalibrationOptions(range_sigma_by_beam=True))
+    assert rough_beams(found)
+    assert not rough_beams(each)
+    for name, beam in found.beams.items():
+        away = (beam.location - each.beams[name].location) / each.beams[name].sigma[:3]
+        assert np.abs(away).max() < 0.02
+        np.testing.assert_allclose(beam.sigma, each.beams[name].sigma, rtol=0.02)
+
+
+@pytest.mark.parametrize("beams", [2, 5])
+def test_beams_that_are_alike_have_one_sigma(beams):
+    for seed in range(6):
+        recording, _ = recorded(seed, Layout(beams=beams, planes=3, stations=12))
+        assert not rough_beams(hl.calibrate(recording))
+
+
+def test_several_rough_beams_have_sigmas_of_their_own():
+    recording, _ = recorded(3, Layout(beams=5, planes=4, stations=12), rough=1)
+    ranges = recording.ranges.copy()
+    ranges[:, 4] += 4e-4 * np.random.default_rng(4).standard_normal(len(ranges))
+    found = {
+        one["beam"]: one["sigma"]
+        for one in rough_beams(hl.calibrate(replace(recording, ranges=ranges)))
+    }
+    assert found == pytest.approx({"2": 2e-4, "5": 4e-4}, rel=0.35)
+
+
+def test_good_readings_of_a_very_rough_beam_are_no_contradiction():
+    """Its readings were outliers beside the sigma of the others, and it was said to contradict them."""
+    for seed in range(3):
+        recording, truth = recorded(
+            seed, Layout(beams=4, planes=4, stations=14), rough=0, sigma=3e-4
+        )
+        found = hl.calibrate(recording)
+        assert [one["beam"] for one in rough_beams(found)] == ["1"]
+        assert len(found.fit.rejected) <= 2
+        assert squared_errors(found, truth).mean() < 2.5
+
+
+@pytest.mark.parametrize("rough", [7, 8])
+def test_one_of_many_beams_is_found_whether_it_represents_others_or_not(rough):
+    recording, _ = recorded(1, Layout(beams=33, planes=2, stations=12), rough, 1e-4)
+    found = rough_beams(hl.calibrate(recording))
+    assert [one["beam"] for one in found] == [recording.beam_names[rough]]
+
+
+def test_few_readings_get_no_sigma_of_their_own():
+    recording, _ = recorded(2, Layout(beams=4, planes=4, stations=12), rough=3, sigma=1e-4)
+    ranges = recording.ranges.copy()
+    ranges[14:, 3] = np.nan
+    assert not rough_beams(hl.calibrate(replace(recording, ranges=ranges)))
+
+
+def test_a_stated_range_sigma_holds_for_all_beams():
+    recording, _ = recorded(2, Layout(beams=4, planes=4, stations=12))
+    found = hl.calibrate(recording, hl.Noise(USUAL))
+    assert not rough_beams(found)
+    assert found.fit.range_sigma_given
+
+
+def test_planes_are_added_with_one_sigma_of_all_beams():
+    recording, _ = recorded(1, Layout(beams=3, planes=4, stations=12), rough=1)
+    session = hl.Session()
+    session.add(recording)
+    assert session.options.range_sigma_by_beam is False
+    assert not rough_beams(session.calibration())
