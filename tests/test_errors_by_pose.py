@@ -15,6 +15,7 @@ from benchmarks.robot_cell import cell
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.estimation.errors_by_pose import (
     ErrorsByPose,
+    Likelihood,
     poses_from_mean,
     sizes_by_pose,
 )
@@ -278,3 +279,15 @@ def test_surveys_that_tell_hardly_anything_have_none_or_finite_ones(stations):
     assert found.status == "undetermined"
     sizes = found.errors_by_pose
     assert sizes is None or np.isfinite([sizes.shift, sizes.turn, sizes.growth]).all()
+
+
+def test_residuals_that_these_errors_explain_but_for_rounding_have_a_likelihood():
+    """Sums of squares that were rounded below zero had a logarithm of zero, and a warning of NumPy."""
+    F = np.random.default_rng(0).standard_normal((20, 36))
+    e = F @ np.ones(36)
+    whole = Likelihood(F.T @ F, F.T @ e, float(e @ e), 20.0, 0.0)
+    density, factor = whole.at(np.array([np.full(6, 1.0), np.full(6, 1e7)]))
+    assert np.isfinite(density).all()
+    assert (factor > 0.0).all()
+    nothing = Likelihood(F.T @ F, F.T @ e, 0.0, 20.0, 0.0).at(np.ones((1, 6)))
+    assert np.isfinite(nothing).all()

@@ -178,6 +178,9 @@ def test_a_beam_that_reads_something_else_than_one_plate_is_not_moved():
     R, t = whole.world_R_hand[order], whole.world_t_hand[order]
     found = hl.calibrate(hl.Recording(R, t, ranges, labels, whole.beam_names))
     assert not any(one.code == DISPLACED for one in found.warnings)
+    (off,) = (one for one in found.warnings if one.code == "off-target")
+    assert off.values == {"beam": "2", "target": "C", "readings": 14, "of": 14}
+    assert found.verdict.code == "usable-with-care"
 
 
 def test_a_single_beam_that_was_moved_is_the_tool_frame_as_well():

@@ -34,7 +34,7 @@ from scipy.special import logsumexp
 from ..arrays import FloatArray
 from ..model.distributions import SINGLE_LEVEL, UNLIKELY_EXCESS, chi2_cdf
 from ..model.families import POSE
-from ..quantities import TINY
+from ..quantities import ROUNDING, TINY
 from .scales import AXES, Scale, design, find_mode
 
 PARTS_OF_LEARNED = (1.0, 0.3, 0.0)
@@ -206,7 +206,7 @@ class Likelihood(NamedTuple):
         root = np.linalg.cholesky(np.eye(S.shape[1]) + S[:, :, None] * self.G * S[:, None])
         explained = np.linalg.solve(root, (S * self.q)[:, :, None])[:, :, 0]
         square = max(self.square, TINY)
-        left = np.maximum(square - (explained**2).sum(axis=1), TINY * square)
+        left = np.maximum(square - (explained**2).sum(axis=1), ROUNDING * square)
         log_det = np.log(np.einsum("jii->ji", root)).sum(axis=1)
         return log_det, left
 

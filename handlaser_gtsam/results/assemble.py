@@ -4,6 +4,7 @@ The covariance grows here by what errors that are correlated in time make of it.
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
@@ -13,7 +14,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..data.parameters import Parameters
-from ..data.recording import Readings
+from ..data.recording import Readings, Recording
 from ..errors import CalibrationWarning
 from ..estimation.scales import RANGE, NoiseComponent
 from ..estimation.selection import Selection
@@ -33,7 +34,7 @@ from ..observability.wording import (
     open_parts,
     weakest,
 )
-from ..outliers.reasons import Reasons
+from ..outliers.reasons import OUTLIER, Reasons
 from ..progress import tell
 from ..quantities import FAR_SIGMAS, KNOWN, NEGLIGIBLE, TEN_TIMES
 from ..text import count
@@ -285,12 +286,14 @@ def _signs(
         # Scales of range errors are not learned then, and count in chi2.
         of_fit = tuple(one for one in of_fit if one.code not in OF_NOISE)
     misspelt = _misspelt_labels(problem, solution, fit)
+    misses = _off_planes(problem.recording, fit)
     large: tuple[CalibrationWarning, ...] = ()
     if solution.prior is not None and known:
         k, typical = solution.best.range_errors, used.typical_range()
         large = tuple(large_range_error(k, typical, problem.sensor.linearity, beams))
     repeated = () if stops is None else stops.warnings
-    return (*_wrong_labels(problem, why), *misspelt, *why.warnings, *of_fit, *large, *repeated)
+    signs = *_wrong_labels(problem, why), *misspelt, *misses, *why.warnings
+    return (*signs, *of_fit, *large, *repeated)
 
 
 def _estimates(
@@ -397,6 +400,17 @@ def _misspelt_labels(
             values: Values = {"target": names[few], "other": names[other]}
             how_many = count(int(stations[few]), "station")
             yield warned("misspelt-label:beams", values, stations=how_many)
+
+
+def _off_planes(recording: Recording, fit: Fit) -> Iterator[CalibrationWarning]:
+    """Warn of planes before which a beam loses half of its readings or more: it sees something else."""
+    labels, read = np.array(recording.plane_labels), ~np.isnan(recording.ranges)
+    out = Counter((one.sensor, one.target) for one in fit.rejected if one.reason == OUTLIER)
+    for (beam, plane), lost in out.items():
+        readings = int(read[labels == plane, recording.beam_names.index(beam)].sum())
+        if lost > 2 and 2 * lost >= readings:  # two gross errors are no pattern
+            values: Values = {"beam": beam, "target": plane, "readings": lost}
+            yield warned("off-target:plane", values, of=readings)
 
 
 def _way(

@@ -15,6 +15,7 @@ from ..estimation.errors_by_pose import (
 )
 from ..estimation.solution import Solution
 from ..model.weighting import coupled, own_variances, whitening
+from ..quantities import ROUNDING
 from .projection import CoupledProjection, LinearRows, Projection
 from .shared_errors import SharedErrors
 
@@ -88,7 +89,8 @@ def _likelihood(
     size = inverse @ (found.T @ heavy)
     rest = [projection.weighed_rest(F) for F in unit.columns]
     G = np.concatenate([unit.products(F) for F in rest], axis=1) - along @ inverse @ along.T
-    left = square - float((found.T @ heavy) @ size)
+    # A few errors that were found may explain all of a few residuals.
+    left = max(square - float((found.T @ heavy) @ size), ROUNDING * square)
     constant = projection.log_det_inverse() - projection.how.log_det()
     unknowns = projection.unknowns + found.shape[1]
     constant -= 2.0 * float(len(rows.residual) - unknowns) * np.log(sigma)
