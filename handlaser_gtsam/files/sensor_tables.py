@@ -31,7 +31,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray, IntArray
 from ..checks import require_number, require_word
 from ..data.screening import shots_code_warning
-from ..data.survey import ERRORS, RELATIONS, Convention, Echo, Kind, Known, Shots, Survey
+from ..data.survey import ERRORS, RELATIONS, Convention, Echo, Kind, Known, Shots
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
 from ..model.sensor_limits import LONG_RANGE
@@ -44,6 +44,7 @@ from .recording_csv import known_numbers
 from .writing import same_file
 
 if TYPE_CHECKING:  # tables of points are read where a rig file names some
+    from .logs.assembling import SurveyStations
     from .points_table import Codes, Points
 
 SINGLE = "beam"
@@ -152,8 +153,8 @@ class SurveyTables:
         shots, lines, warnings = zip(*read, strict=True)
         return shots, tuple(chain(*lines)), tuple(chain(*warnings))
 
-    def bag(self, path: Path, given: LogFormat) -> Survey:
-        """Return the stops of the hand in a bag, and what sensors and single beams read there.
+    def bag(self, path: Path, given: LogFormat) -> "tuple[SurveyStations, tuple[Shots, ...]]":
+        """Return the stops of the hand in a bag with what single beams read there, and the shots.
 
         Raises
         ------
@@ -171,9 +172,9 @@ class SurveyTables:
                 raise InputError(stated, "none: messages are in metres and radians", path)
         wanted = [(table.name, table.kind, table.topics) for table in self.sensors]
         with in_file(path):
-            found = read_bag_points(path, given, wanted)
+            found, points = read_bag_points(path, given, wanted)
             shots, warnings = [], list(found.warnings)
-            for table, published in zip(self.sensors, found.points, strict=True):
+            for table, published in zip(self.sensors, points, strict=True):
                 station, numbers, doubled = without_copies(*published)
                 station, numbers, codes = without_codes(station, numbers)
                 names = found.stations.station_names
@@ -181,14 +182,7 @@ class SurveyTables:
                 warnings += _code_warnings(table, codes)
                 own = station, numbers, np.full(len(numbers), np.nan)
                 shots.append(self._shots(table, own, 1.0, 1.0))
-        return Survey(
-            found.stations,
-            tuple(shots),
-            found.ranges,
-            found.beams,
-            lines=found.lines,
-            warnings=tuple(warnings),
-        )
+        return found._replace(warnings=tuple(warnings)), tuple(shots)
 
     def _read(
         self, table: SensorTable, stations: tuple[str, ...], station_column: str

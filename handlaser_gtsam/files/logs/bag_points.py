@@ -10,23 +10,28 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from ...arrays import FloatArray, IntArray
 from ...data.screening import FINEST_STEP
-from ...data.station_list import StationList
-from ...errors import CalibrationWarning, InputError
+from ...errors import InputError
 from ...quantities import LARGEST_LENGTH, MM
 from ...results.messages import warned
 from ...text import shown, some
-from .assembling import averaged, odd_readings, targets_of, with_readings
+from .assembling import (
+    SurveyStations,
+    averaged,
+    odd_readings,
+    stations_before,
+    targets_of,
+    with_readings,
+)
 from .bags import RANGE, SCAN, BeamTopics, Reader, lines_of, read_messages, require_topic
 from .format import LogFormat
 from .joining import by_time
-from .poses import hand_poses
 from .rows import LogRows
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -34,33 +39,6 @@ FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8:
 """Types of the fields of a cloud, by the constants of sensor_msgs/PointField."""
 SHORT_SCAN = 1e-3
 """In this time [s] a hand at 0.1 m/s moves by 0.1 mm, the usual error of a robot."""
-
-
-class BagPoints(NamedTuple):
-    """What sensors of many rays published at the stops of the hand, or at moments of its way.
-
-    Attributes
-    ----------
-    stations : StationList
-        Those before a target at which any sensor read something.
-    points : list of (station, numbers)
-        Of each sensor the station (n,) and the numbers (n, c) of each point, in metres and radians, as
-        a table of points has them.
-    ranges : (M, B), optional
-        Of single beams, averaged over each station [m]; NaN where there is none.
-    beams : tuple of str
-        Their names.
-    lines : tuple of str
-        How the bag was read, for a person.
-    warnings : tuple of CalibrationWarning
-    """
-
-    stations: StationList
-    points: list[tuple[IntArray, FloatArray]]
-    ranges: FloatArray | None
-    beams: tuple[str, ...]
-    lines: tuple[str, ...]
-    warnings: tuple[CalibrationWarning, ...]
 
 
 class PointTopics:
@@ -149,7 +127,7 @@ class PointTopics:
 
 def read_bag_points(
     path: Path, given: LogFormat, sensors: Sequence[tuple[str, str, tuple[str, ...]]]
-) -> BagPoints:
+) -> tuple[SurveyStations, list[tuple[IntArray, FloatArray]]]:
     """Return the stops of the hand, and what each sensor, and each stated beam, read there.
 
     Parameters
@@ -158,6 +136,14 @@ def read_bag_points(
     given : LogFormat
         Where poses are, how stations get their targets, and topics of single beams.
     sensors : sequence of (name, kind, topics)
+
+    Returns
+    -------
+    stations : SurveyStations
+        Those before a target at which any sensor read something.
+    points : list of (station, numbers)
+        Of each sensor the station (n,) and the numbers (n, c) of each point, in metres and radians, as
+        a table of points has them.
 
     Raises
     ------
@@ -186,13 +172,8 @@ def read_bag_points(
     labels, chosen, warnings = targets_of(log, given)
     seen = np.isin(np.arange(len(log.names)), log.station)
     chosen, unread = with_readings(chosen, seen, path)
-    warnings, kept = (*warnings, *unread), np.flatnonzero(chosen)
-    number = np.full(len(log.names) + 1, -1)
-    number[kept] = np.arange(len(kept))
-    station = number[log.station]
-    R, t = hand_poses(poses.posed, log.way, given)
-    names = tuple(log.names[i] for i in kept.tolist())
-    stations = StationList(R[kept], t[kept], tuple(labels[i] for i in kept.tolist()), names)
+    warnings = (*warnings, *unread)
+    stations, station = stations_before(log, given, labels, chosen)
     if given.interpolate:
         skewed = {name: time for name, time in points.lasts.items() if time > SHORT_SCAN}
         warnings += tuple(
@@ -202,19 +183,20 @@ def read_bag_points(
     ranges = None
     if single is not None:
         own = readings.ranges[:, len(sensors) :]
-        ranges = averaged(own, station, len(kept), given.average)[0]
-        warnings = (*warnings, *odd_readings(own, station, names, given.average), *single.warnings)
+        ranges = averaged(own, station, len(stations), given.average)[0]
+        odd = odd_readings(own, station, stations.station_names, given.average)
+        warnings = (*warnings, *odd, *single.warnings)
     of_message = np.empty(len(station), dtype=np.intp)
     of_message[order] = station
     late = f"readings are taken to be stamped {given.lag_s:g} s later than poses"
-    return BagPoints(
+    found = SurveyStations(
         stations,
-        points.points(of_message[: len(messages.ranges)]),
         ranges,
         () if single is None else single.beams,
         (poses.words, log.words, *((late,) if given.lag_s else ())),
         (*poses.warnings, *log.warnings, *warnings),
     )
+    return found, points.points(of_message[: len(messages.ranges)])
 
 
 def _in_time(messages: LogRows, single: LogRows | None) -> tuple[LogRows, IntArray]:
