@@ -345,7 +345,7 @@ def driven(
             routes += [[before, one, home, other, station] for one, other in both]
         for route in routes:
             passed, _ = divided(joined(route), workspace.largest_step)
-            yield passed[np.arange(1, len(passed))]
+            yield passed[1:]
 
     def along(q: FloatArray, before: int, way: Stations, left: Iterator[int]) -> list[FloatArray]:
         """Return joints of a way from joints q before plane `before`; fewer where none is free.
@@ -354,7 +354,7 @@ def driven(
         """
         if not len(way):
             return []
-        plane, rest = int(way.plane[0]), way[np.arange(1, len(way))]
+        plane, rest = int(way.plane[0]), way[1:]
         R, t = way.world_R_hand[0], way.world_t_hand[0]
         solutions = robot.solutions(R, t, plates[plane], q)
         for solved, _ in zip(islice(solutions, TRIED_SOLUTIONS), left, strict=False):
@@ -368,10 +368,10 @@ def driven(
         """Drive to all stations from joints at the `first` one, or from the start before all (-1)."""
         parts, joints, origin = list[Stations](), list[FloatArray](), list[int]()
         if first >= 0:
-            parts, joints, origin = [stations[np.array([first])]], [q], [first]
+            parts, joints, origin = [stations[first : first + 1]], [q], [first]
         for index in range(first + 1, len(stations)):
-            station = stations[np.array([index])]
-            last = parts[-1][np.array([-1])] if parts else None
+            station = stations[index : index + 1]
+            last = parts[-1][-1:] if parts else None
             for way in ways(last, station):
                 plane = int((way if last is None else last).plane[0])
                 # Ways between two stations that are tried, before another detour: a second or two.

@@ -30,8 +30,8 @@ class Stations:
     def __len__(self) -> int:
         return len(self.plane)
 
-    def __getitem__(self, rows: IntArray | BoolArray) -> "Stations":
-        """Return the stations at some rows, or where a mask holds."""
+    def __getitem__(self, rows: IntArray | BoolArray | slice) -> "Stations":
+        """Return the stations at some rows, of a slice, or where a mask holds."""
         return Stations(self.world_R_hand[rows], self.world_t_hand[rows], self.plane[rows])
 
 
