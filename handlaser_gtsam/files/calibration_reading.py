@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, Strict
 
-from ..arrays import FloatArray
 from ..errors import InputError, NotConvergedError
 from ..model.families import BEAM
 from ..model.sensors.mounted import SENSOR
@@ -192,18 +192,16 @@ class SurveyFile(ResultFile):
         """
         if not self.success:
             raise NotConvergedError(self.status, self.message)
-        sensors = [(SENSOR.name, one, np.array(one.rotation)) for one in self.sensors]
-        beams = [(BEAM.name, one, np.array(one.direction)) for one in self.beams]
-        every: list[tuple[str, SensorRecord | SurveyBeamRecord, FloatArray]] = [*sensors, *beams]
+
+        def placed(
+            kind: str, one: SensorRecord | SurveyBeamRecord, turned: ArrayLike
+        ) -> PlacedMount:
+            location, covariance = np.array(one.location_m), np.array(one.covariance, dtype=float)
+            return PlacedMount(kind, one.name, np.array(turned), location, covariance)
+
         return [
-            PlacedMount(
-                kind,
-                one.name,
-                turned,
-                np.array(one.location_m),
-                np.array(one.covariance, dtype=float),
-            )
-            for kind, one, turned in every
+            *(placed(SENSOR.name, one, one.rotation) for one in self.sensors),
+            *(placed(BEAM.name, one, one.direction) for one in self.beams),
         ]
 
 

@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..data.recording import Recording
 from ..data.station_list import StationList
-from ..data.survey import Survey
+from ..data.survey import Shots, Survey
 from ..errors import InputError
 from ..model.conventions import UNIT_WORDS, numbers_of
 from ..text import some
@@ -95,13 +94,13 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         expected = f"{where}, or no half_angle_deg"
         raise InputError(found, expected, path)
     with in_file(path):
-        survey = _survey(stations, ranges, beams, rig, shots=shots, lines=lines)
+        survey = _survey(stations, shots, ranges, beams, rig)
     cones = np.count_nonzero(survey.cones)
     coded = tuple(one for one in coded if one.code != NO_HALF_ANGLE or cones < one.values["beams"])
     if numbers is not None:
         with in_file(path):
             coded += refuse_wrong_reading(survey, numbers, log)
-    return replace(survey, warnings=coded)
+    return replace(survey, lines=lines, warnings=coded)
 
 
 def survey_of(recording: Recording, rig: Rig) -> Survey:
@@ -112,20 +111,32 @@ def survey_of(recording: Recording, rig: Rig) -> Survey:
         recording.plane_labels,
         recording.station_names,
     )
-    beams, warnings = recording.beam_names, recording.warnings
-    return _survey(stations, recording.ranges, beams, rig, warnings=warnings)
+    survey = _survey(stations, (), recording.ranges, recording.beam_names, rig)
+    return replace(survey, warnings=recording.warnings)
 
 
 def _survey(
-    stations: StationList, ranges: FloatArray | None, beams: tuple[str, ...], rig: Rig, **more: Any
+    stations: StationList,
+    shots: tuple[Shots, ...],
+    ranges: FloatArray | None,
+    beams: tuple[str, ...],
+    rig: Rig,
 ) -> Survey:
-    """Return a survey of single beams that are as a rig file says, and more."""
+    """Return a survey of shots, and of single beams that are as a rig file says."""
     if ranges is not None:  # without those that the sensor cannot give
         ranges = np.where(rig.sensor.can_read(ranges), ranges, np.nan)
-    more["half_angle"], more["range_sigma"] = rig.of_beams(beams)
-    more |= {"linearity": rig.sensor.linearity, "aiming_sigma": rig.aiming_sigma}
-    more["known"] = () if rig.survey is None else rig.survey.known
-    return Survey(stations, ranges=ranges, beam_names=beams, **more)
+    half_angle, range_sigma = rig.of_beams(beams)
+    return Survey(
+        stations,
+        shots,
+        ranges,
+        beams,
+        () if rig.survey is None else rig.survey.known,
+        rig.aiming_sigma,
+        half_angle,
+        range_sigma,
+        rig.sensor.linearity,
+    )
 
 
 def _of_log(path: Path, rig: Rig) -> tuple[SurveyStations, FloatArray, LogFormat]:
