@@ -18,7 +18,7 @@ that name, what differs from the others: sigma_mm, and half_angle_deg of its con
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -30,14 +30,12 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
 from ..checks import require_number, require_word
-from ..data.screening import shots_code_warning
 from ..data.survey import ERRORS, RELATIONS, Convention, Echo, Kind, Known, Shots
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
 from ..model.sensor_limits import LONG_RANGE
 from ..quantities import DEG, IN_DEG, IN_MM, LARGEST_LENGTH, MAJORITY, MM, WIDEST_CONE
-from ..results.messages import Values, warned
-from ..text import shown, some
+from ..text import shown
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
 from .recording_csv import known_numbers
@@ -45,7 +43,7 @@ from .writing import same_file
 
 if TYPE_CHECKING:  # tables of points are read where a rig file names some
     from .logs.assembling import SurveyStations
-    from .points_table import Codes, Points
+    from .points_table import Points
 
 SINGLE = "beam"
 """The kind of a single beam."""
@@ -161,7 +159,7 @@ class SurveyTables:
         InputError
         """
         from .logs.bag_points import read_bag_points
-        from .points_table import without_codes, without_copies
+        from .points_table import believed
 
         for table in self.sensors:
             if table.points or not table.topics:
@@ -175,11 +173,9 @@ class SurveyTables:
             found, points = read_bag_points(path, given, wanted)
             shots, warnings = [], list(found.warnings)
             for table, published in zip(self.sensors, points, strict=True):
-                station, numbers, doubled = without_copies(*published)
-                station, numbers, codes = without_codes(station, numbers)
                 names = found.stations.station_names
-                warnings += _copy_warnings(table, published[0], doubled, names)
-                warnings += _code_warnings(table, codes)
+                station, numbers, more = believed(table, *published, names)
+                warnings += more
                 own = station, numbers, np.full(len(numbers), np.nan)
                 shots.append(self._shots(table, own, 1.0, 1.0))
         return found._replace(warnings=tuple(warnings)), tuple(shots)
@@ -203,8 +199,8 @@ class SurveyTables:
         growing = bool(self.copies)
         from .points_table import read_points
 
-        points, named, codes, doubled, lines = read_points(
-            files, table.kind, stations, table.echo, station_column, growing=growing
+        points, named, warnings, lines = read_points(
+            table, files, stations, station_column, growing=growing
         )
         turns = {"angle"} & named.keys()
         lengths = named.keys() - turns - {"zone"}
@@ -219,8 +215,6 @@ class SurveyTables:
         words += f" and {more}" if turns else ""
         if table.kind == "profiler" and shots.reading.max() < 0.0:
             words += ", all z below zero: its mount is that of a frame whose z points backwards"
-        warnings = _copy_warnings(table, points[0], doubled, stations)
-        warnings += _code_warnings(table, codes)
         return shots, (f"{table.name} in {words}", *lines), warnings
 
     def _shots(self, table: SensorTable, points: "Points", length: float, angle: float) -> Shots:
@@ -298,34 +292,6 @@ class SurveyTables:
     def folders(self) -> tuple[Path, ...]:
         """Folders into which further tables of points come, one a station."""
         return tuple(path.parent for path in self._of_each)
-
-
-def _copy_warnings(
-    table: SensorTable, station: IntArray, doubled: IntArray, names: Sequence[str]
-) -> list[CalibrationWarning]:
-    """Warn of stations (K,) all of whose points stand more than once; points are at stations (N,)."""
-    if not len(doubled):
-        return []
-    values: Values = {"sensor": table.name, "stations": len(np.unique(station))}
-    values = {**values, "repeated": len(doubled), "first": names[int(doubled[0])]}
-    return [warned("repeated-stations:points", values)]
-
-
-def _code_warnings(table: SensorTable, codes: "Codes") -> list[CalibrationWarning]:
-    from .points_table import COLUMNS, OF_DISTANCES
-
-    what = COLUMNS[table.kind][-1]
-    negative = [code for code in codes if code < 0.0 and table.kind in OF_DISTANCES]
-    warnings = [
-        shots_code_warning(f"{what} = {code:.10g}", table.name, times)
-        for code, times in codes.items()
-        if code not in negative
-    ]
-    if negative:  # perhaps many different ones
-        words = f"{what} = {some([f'{code:.10g}' for code in negative], 4)}"
-        times = sum(codes[code] for code in negative)
-        warnings.append(shots_code_warning(words, table.name, times, negative=True))
-    return warnings
 
 
 def _of_station(points: Path) -> re.Pattern[str]:
