@@ -27,7 +27,7 @@ from ..results.messages import Values, warned
 from ..text import count, shown, some
 from .checked_text import in_file
 from .logs.columns import unit_of
-from .logs.tables import FOREIGN, PARQUET, table_of_values
+from .logs.tables import FOREIGN, PARQUET, table_of_parquet
 from .recording_csv import known_numbers
 from .table import (
     MOST_TITLES,
@@ -374,7 +374,7 @@ def read_frame(path: Path, expected: str, header: str) -> FileTable:
             raise InputError("no readable file", expected, path)
         try:
             with in_file(path):
-                return table_of_values(pl.read_parquet(path), path)
+                return table_of_parquet(path)
         except (pl.exceptions.PolarsError, OSError) as error:
             what = str(error).splitlines()[0][:120]
             raise InputError(f"no table ({what})", expected, path) from error

@@ -200,13 +200,7 @@ def _foreign(path: Path, given: LogFormat) -> FileTable:
                 table = replace(table, header_line=header, lines=lines, warnings=warnings)
                 return _with_points(table, given, numbers_have_points=True)
             if suffix in PARQUET:
-                # Equal values are packed so well that the size of the file says nothing.
-                lazy = pl.scan_parquet(path)
-                height, width = lazy.select(pl.len()).collect().item(), len(lazy.collect_schema())
-                if height * width > MOST_CELLS:
-                    found = f"{height} rows of {width} columns"
-                    raise InputError(found, f"at most {MOST_CELLS} cells")
-                return table_of_values(lazy.collect(), path)
+                return table_of_parquet(path)
             text = table_text(path)
             if not text.strip():
                 raise InputError("an empty file", "an object a line")
@@ -267,6 +261,21 @@ def _refuse_bad_line(text: str, path: Path) -> None:
 
 def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name}, which JSON has not; null is no reading")
+
+
+def table_of_parquet(path: Path) -> FileTable:
+    """Return the table of a Parquet file; what Polars says against it is raised as it is.
+
+    Raises
+    ------
+    InputError
+        Too many cells: equal values are packed so well that the size of the file says nothing.
+    """
+    lazy = pl.scan_parquet(path)
+    height, width = lazy.select(pl.len()).collect().item(), len(lazy.collect_schema())
+    if height * width > MOST_CELLS:
+        raise InputError(f"{height} rows of {width} columns", f"at most {MOST_CELLS} cells")
+    return table_of_values(lazy.collect(), path)
 
 
 def table_of_values(frame: pl.DataFrame, path: Path) -> FileTable:
