@@ -263,12 +263,12 @@ def mounts_of(file: CalibrationFile) -> Mounts:
         raise InputError("no beams", "one or more")
     return Mounts(
         tuple(beam.name for beam in beams),
-        np.array([beam.location_m for beam in beams]),
-        np.array([beam.direction for beam in beams]),
-        np.array([(beam.range_error.k1, beam.range_error.k2_per_m) for beam in beams]),
-        tuple(beam.range_error_terms for beam in beams),
-        square_matrix(rows, BEAM.size * len(beams), "beam_covariance"),
-        file.fit.range_sigma_m,
-        None if pose is None else square_matrix(pose, 6, "fit.pose_covariance"),
-        math.inf if file.fit.range_sigma_given else float(max(file.fit.dof, 1)),
+        locations=np.array([beam.location_m for beam in beams]),
+        directions=np.array([beam.direction for beam in beams]),
+        range_errors=np.array([(beam.range_error.k1, beam.range_error.k2_per_m) for beam in beams]),
+        terms=tuple(beam.range_error_terms for beam in beams),
+        covariance=square_matrix(rows, BEAM.size * len(beams), "beam_covariance"),
+        range_sigma=file.fit.range_sigma_m,
+        pose_covariance=None if pose is None else square_matrix(pose, 6, "fit.pose_covariance"),
+        dof=math.inf if file.fit.range_sigma_given else float(max(file.fit.dof, 1)),
     )

@@ -104,14 +104,16 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
         warnings = (*warnings, warned("stations-left-out", left_out, nothing=""))
     return Recording(
         R,
-        t,
-        ranges,
-        planes,
-        tuple(beams),
-        names,
-        tuple(x for x in table.frame.columns if not _used(x, PREFIX) and x not in samples),
-        _samples(table, beams, ranges) if samples else None,
-        warnings,
+        world_t_hand=t,
+        ranges=ranges,
+        plane_labels=planes,
+        beam_names=tuple(beams),
+        station_names=names,
+        ignored_columns=tuple(
+            x for x in table.frame.columns if not _used(x, PREFIX) and x not in samples
+        ),
+        samples=_samples(table, beams, ranges) if samples else None,
+        warnings=warnings,
         range_min=min(0.0, (sensor or Sensor()).range_min),
     )
 

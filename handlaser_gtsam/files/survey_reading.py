@@ -128,14 +128,14 @@ def _survey(
     half_angle, range_sigma = rig.of_beams(beams)
     return Survey(
         stations,
-        shots,
-        ranges,
-        beams,
-        () if rig.survey is None else rig.survey.known,
-        rig.aiming_sigma,
-        half_angle,
-        range_sigma,
-        rig.sensor.linearity,
+        shots=shots,
+        ranges=ranges,
+        beam_names=beams,
+        known=() if rig.survey is None else rig.survey.known,
+        aiming_sigma=rig.aiming_sigma,
+        half_angle=half_angle,
+        range_sigma=range_sigma,
+        linearity=rig.sensor.linearity,
     )
 
 

@@ -143,13 +143,13 @@ def predicted_readings(at: Parameters, stations: Stations) -> tuple[Readings, mo
     station, beam = np.divmod(np.arange(beams * len(stations)), beams)
     readings = Readings(
         station,
-        beam,
-        stations.plane[station],
-        np.zeros(len(station)),
-        stations.world_R_hand[station],
-        stations.world_t_hand[station],
-        beams,
-        len(at.offsets),
+        beam=beam,
+        plane=stations.plane[station],
+        distance=np.zeros(len(station)),
+        world_R_hand=stations.world_R_hand[station],
+        world_t_hand=stations.world_t_hand[station],
+        beams=beams,
+        planes=len(at.offsets),
     )
     x = model.scene(at, readings)
     return replace(readings, distance=read_back(model.predicted_ranges(x), x.k)), x

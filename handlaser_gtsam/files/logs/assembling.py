@@ -77,15 +77,15 @@ def assembled(
     rows = np.flatnonzero(chosen)
     recording = Recording(
         stations.world_R_hand,
-        stations.world_t_hand,
-        mean[rows],
-        stations.plane_labels,
-        readings.beams,
-        stations.station_names,
-        tuple(dict.fromkeys(name for one in both for name in one.ignored)),
-        None if samples is None else samples[rows],
-        (*(warning for one in both for warning in one.warnings), *log.warnings, *warnings),
-        min(0.0, sensor.range_min),
+        world_t_hand=stations.world_t_hand,
+        ranges=mean[rows],
+        plane_labels=stations.plane_labels,
+        beam_names=readings.beams,
+        station_names=stations.station_names,
+        ignored_columns=tuple(dict.fromkeys(name for one in both for name in one.ignored)),
+        samples=None if samples is None else samples[rows],
+        warnings=(*(warning for one in both for warning in one.warnings), *log.warnings, *warnings),
+        range_min=min(0.0, sensor.range_min),
     )
     doubts = held_poses(recording)
     doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, named)
@@ -97,12 +97,12 @@ def assembled(
     first = ", ".join(count(number, noun) for noun, number in sizes.items())
     return LogReport(
         recording,
-        scatter,
-        {name: x for name, x in scatter_of if not math.isnan(x)},
-        log.lag[0],
-        log.lag[1] or None,
-        (first, *how_joined(log, given, repeated, scatter)),
-        tuple(path for path in given.files if path is not None),
+        scatter=scatter,
+        scatter_of={name: x for name, x in scatter_of if not math.isnan(x)},
+        lag=log.lag[0],
+        lag_sigma=log.lag[1] or None,
+        lines=(first, *how_joined(log, given, repeated, scatter)),
+        beside=tuple(path for path in given.files if path is not None),
     )
 
 

@@ -83,13 +83,13 @@ def columns_of(
     elsewhere = given.plane_column not in ("", *names) and not (poses and readings)
     found = Columns(
         pose,
-        _beam_columns(table, given) if readings and not given.beam_column else {},
-        given.beam_column if readings else "",
-        given.range_column if readings else "",
+        beams=_beam_columns(table, given) if readings and not given.beam_column else {},
+        beam=given.beam_column if readings else "",
+        range=given.range_column if readings else "",
         # Of two files, either may have the column that is stated.
-        "" if elsewhere else _named(table, given, ("plane",), "plane_column"),
-        _named(table, given, ("station",), f"{second}station_column", "station_column"),
-        ""
+        plane="" if elsewhere else _named(table, given, ("plane",), "plane_column"),
+        station=_named(table, given, ("station",), f"{second}station_column", "station_column"),
+        time=""
         if set(pose) & set(_alike(names, TIMES))
         else _named(table, given, TIMES, f"{second}time_column", "time_column"),
     )
