@@ -196,11 +196,10 @@ class SurveyTables:
         if not files:
             example = path.name.replace(EACH, stations[0])
             raise InputError("no such file", f"one a station, as {example} of the first", path)
-        growing = bool(self.copies)
         from .points_table import read_points
 
         points, named, warnings, lines = read_points(
-            table, files, stations, station_column, growing=growing
+            table, files, stations, station_column, growing=bool(self.copies)
         )
         turns = {"angle"} & named.keys()
         lengths = named.keys() - turns - {"zone"}
