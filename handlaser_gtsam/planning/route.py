@@ -18,6 +18,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
+from ..quantities import ROUNDING
 from ..validation.simulate import Stations
 from .bounds import Plate
 from .goal import Aim, Forecast
@@ -258,7 +259,8 @@ def divided(stations: Stations, largest_step: float) -> tuple[Stations, IntArray
     """
     R, t = stations.world_R_hand, stations.world_t_hand
     steps = np.diff(t, axis=0, prepend=t[:1])
-    parts = np.maximum(np.ceil(np.linalg.norm(steps, axis=1) / largest_step - 1e-9), 1).astype(int)
+    wanted = np.linalg.norm(steps, axis=1) / largest_step - ROUNDING
+    parts = np.maximum(np.ceil(wanted), 1).astype(int)
     after = np.repeat(np.arange(len(parts)), parts)  # the station at which each step ends
     share = np.concatenate([np.arange(1, count + 1) / count for count in parts])
     before = np.maximum(after - 1, 0)

@@ -26,6 +26,7 @@ import polars as pl
 
 from ...checks import imported
 from ...errors import CalibrationWarning, InputError
+from ...model.conventions import TIME_UNITS
 from ...results.messages import Values, warned
 from ...text import count, shown, some
 from ..checked_text import in_file, json_value
@@ -308,9 +309,9 @@ def _flat(column: pl.Series) -> list[pl.Series]:
     if kind.is_numeric():
         return [column]
     if isinstance(kind, (pl.Datetime, pl.Date)):
-        return [column.cast(pl.Datetime("ns")).to_physical().cast(pl.Float64) * 1e-9]
+        return [column.cast(pl.Datetime("ns")).to_physical().cast(pl.Float64) * TIME_UNITS["ns"]]
     if isinstance(kind, pl.Duration):
-        return [column.dt.total_nanoseconds().cast(pl.Float64) * 1e-9]
+        return [column.dt.total_nanoseconds().cast(pl.Float64) * TIME_UNITS["ns"]]
     text = column.cast(pl.String, strict=False).str.strip_chars(" \t")
     return [text.replace("", None)]
 
