@@ -168,9 +168,8 @@ class SurveyTables:
             if table.units not in (None, "m") or table.angles not in (None, "rad"):
                 stated = f"units or angles of {table.name} with topics of a bag"
                 raise InputError(stated, "none: messages are in metres and radians", path)
-        wanted = [(table.name, table.kind, table.topics) for table in self.sensors]
         with in_file(path):
-            found, points = read_bag_points(path, given, wanted)
+            found, points = read_bag_points(path, given, self.sensors)
             shots, warnings = [], list(found.warnings)
             for table, published in zip(self.sensors, points, strict=True):
                 names = found.stations.station_names

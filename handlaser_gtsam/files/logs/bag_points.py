@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -34,6 +34,9 @@ from .format import LogFormat
 from .joining import by_time
 from .rows import LogRows
 
+if TYPE_CHECKING:
+    from ..sensor_tables import SensorTable
+
 CLOUD = "sensor_msgs/msg/PointCloud2"
 FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Types of the fields of a cloud, by the constants of sensor_msgs/PointField."""
@@ -46,10 +49,10 @@ class PointTopics:
 
     Parameters
     ----------
-    sensors : sequence of (name, kind, topics)
+    sensors : sequence of SensorTable
     """
 
-    def __init__(self, sensors: Sequence[tuple[str, str, tuple[str, ...]]]) -> None:
+    def __init__(self, sensors: "Sequence[SensorTable]") -> None:
         self.sensors = sensors
         # Of each sensor the times of messages that have points [s], and the points of each (n, c).
         self.clouds: list[tuple[array[float], list[FloatArray]]] = [
@@ -67,23 +70,24 @@ class PointTopics:
         InputError
         """
         found: dict[str, Reader] = {}
-        for sensor, (name, kind, own) in enumerate(self.sensors):
-            if not own or (len(own) > 1 and kind != "array"):
-                stated = f"{len(own)} topics of the sensor {name}, in a bag"
+        for sensor, table in enumerate(self.sensors):
+            count = len(table.topics)
+            if not count or (count > 1 and table.kind != "array"):
+                stated = f"{count} topics of the sensor {table.name}, in a bag"
                 raise InputError(stated, "topics = one; of an array one for each zone")
-            for number, topic in enumerate(own):
-                require_topic(topics, topic, READ_FROM[kind][0])
+            for number, topic in enumerate(table.topics):
+                require_topic(topics, topic, READ_FROM[table.kind][0])
                 _require_once(found, topic)
                 found[topic] = partial(self._add, sensor, number)
         return found
 
     def _add(self, sensor: int, number: int, message: Any, time: float) -> None:
         """Add the points of a message, if it has any, to the points of its sensor."""
-        name, kind, _ = self.sensors[sensor]
-        rows = READ_FROM[kind][1](message, number)
-        if kind == "scanner":
+        table = self.sensors[sensor]
+        rows = READ_FROM[table.kind][1](message, number)
+        if table.kind == "scanner":
             one = abs(message.time_increment) * len(message.ranges)
-            self.lasts[name] = max(self.lasts.get(name, 0.0), one)
+            self.lasts[table.name] = max(self.lasts.get(table.name, 0.0), one)
         if len(rows):
             self.clouds[sensor][0].append(time)
             self.clouds[sensor][1].append(rows)
@@ -99,12 +103,12 @@ class PointTopics:
         InputError
             No point of a sensor.
         """
-        for (name, _, own), (_, numbers) in zip(self.sensors, self.clouds, strict=True):
+        for table, (_, numbers) in zip(self.sensors, self.clouds, strict=True):
             if not numbers:
-                found = f"no point of {name} within the limits of its messages"
-                raise InputError(found, f"at least one, on {some(own, 4)}")
+                found = f"no point of {table.name} within the limits of its messages"
+                raise InputError(found, f"at least one, on {some(table.topics, 4)}")
         times = np.concatenate([np.frombuffer(own) for own, _ in self.clouds])
-        names, read = tuple(name for name, *_ in self.sensors), []
+        names, read = tuple(table.name for table in self.sensors), []
         for (_, numbers), topics in zip(self.clouds, self.topic_of, strict=True):
             often = Counter(topics).most_common(1)[0][0]
             read += [
@@ -126,7 +130,7 @@ class PointTopics:
 
 
 def read_bag_points(
-    path: Path, given: LogFormat, sensors: Sequence[tuple[str, str, tuple[str, ...]]]
+    path: Path, given: LogFormat, sensors: "Sequence[SensorTable]"
 ) -> tuple[SurveyStations, list[tuple[IntArray, FloatArray]]]:
     """Return the stops of the hand, and what each sensor, and each stated beam, read there.
 
@@ -135,7 +139,7 @@ def read_bag_points(
     path : Path
     given : LogFormat
         Where poses are, how stations get their targets, and topics of single beams.
-    sensors : sequence of (name, kind, topics)
+    sensors : sequence of SensorTable
 
     Returns
     -------
