@@ -4,7 +4,6 @@ Of each message only its points stay in memory: 8 bytes a number. Messages durin
 are one shot.
 """
 
-from array import array
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -54,12 +53,8 @@ class PointTopics:
 
     def __init__(self, sensors: "Sequence[SensorTable]") -> None:
         self.sensors = sensors
-        # Of each sensor the times of messages that have points [s], and the points of each (n, c).
-        self.clouds: list[tuple[array[float], list[FloatArray]]] = [
-            (array("d"), []) for _ in sensors
-        ]
-        # Of each sensor which of its topics a message is of.
-        self.topic_of = [array("l") for _ in sensors]
+        # Of each sensor the messages that have points: time [s], which of its topics, points (n, c).
+        self.messages: list[list[tuple[float, int, FloatArray]]] = [[] for _ in sensors]
         self.lasts: dict[str, float] = {}  # how long a scan of each scanner takes [s]
 
     def readers(self, topics: Mapping[str, str]) -> dict[str, Reader]:
@@ -89,9 +84,7 @@ class PointTopics:
             one = abs(message.time_increment) * len(message.ranges)
             self.lasts[table.name] = max(self.lasts.get(table.name, 0.0), one)
         if len(rows):
-            self.clouds[sensor][0].append(time)
-            self.clouds[sensor][1].append(rows)
-            self.topic_of[sensor].append(number)
+            self.messages[sensor].append((time, number, rows))
 
     def rows(self, path: Path) -> LogRows:
         """Return the median reading of each message, which tells whether it moves, sensor after sensor.
@@ -103,28 +96,26 @@ class PointTopics:
         InputError
             No point of a sensor.
         """
-        for table, (_, numbers) in zip(self.sensors, self.clouds, strict=True):
-            if not numbers:
+        for table, own in zip(self.sensors, self.messages, strict=True):
+            if not own:
                 found = f"no point of {table.name} within the limits of its messages"
                 raise InputError(found, f"at least one, on {some(table.topics, 4)}")
-        times = np.concatenate([np.frombuffer(own) for own, _ in self.clouds])
+        times = np.array([time for own in self.messages for time, *_ in own])
         names, read = tuple(table.name for table in self.sensors), []
-        for (_, numbers), topics in zip(self.clouds, self.topic_of, strict=True):
-            often = Counter(topics).most_common(1)[0][0]
-            read += [
-                np.median(rows[:, -1]) if topic == often else np.nan
-                for rows, topic in zip(numbers, topics, strict=True)
-            ]
-        whose = np.repeat(np.arange(len(names)), list(map(len, self.topic_of)))
+        for own in self.messages:
+            often = Counter(topic for _, topic, _ in own).most_common(1)[0][0]
+            read += [np.median(rows[:, -1]) if topic == often else np.nan for _, topic, rows in own]
+        whose = np.repeat(np.arange(len(names)), list(map(len, self.messages)))
         d = np.where(whose[:, None] == np.arange(len(names)), np.array(read)[:, None], np.nan)
         return LogRows(lines_of(path, len(times)), names, d, times=times)
 
     def points(self, station: IntArray) -> list[tuple[IntArray, FloatArray]]:
         """Return the station and the numbers of each point, by the station of each message or -1."""
         found = []
-        ends = np.cumsum([len(own) for own, _ in self.clouds])[:-1]
-        for (_, numbers), where in zip(self.clouds, np.split(station, ends), strict=True):
-            at = np.repeat(where, [len(rows) for rows in numbers])
+        ends = np.cumsum(list(map(len, self.messages)))[:-1]
+        for own, where in zip(self.messages, np.split(station, ends), strict=True):
+            numbers = [rows for *_, rows in own]
+            at = np.repeat(where, list(map(len, numbers)))
             found.append((at[at >= 0].astype(np.intp), np.concatenate(numbers)[at >= 0]))
         return found
 
