@@ -50,9 +50,9 @@ COLUMNS = {
 """Columns beside `station`, by the kind of the sensor."""
 OF_DISTANCES = "scanner", "array"
 """Kinds whose readings are distances, none of which is below zero."""
-Points = tuple[IntArray, FloatArray, FloatArray]
+Points = tuple[IntArray, FloatArray, FloatArray | None]
 """The station (N,) of each point, from 0, its columns (N, c), and (N,) the nearest reading of the zone
-of an array at the station, NaN for that reading itself and for other kinds."""
+of an array at the station, NaN for that reading itself; None where no zone has several."""
 A_NUMBER = r"[0-9]+(\.[0-9]+)?"
 """Names of stations that are compared as numbers where they differ as texts."""
 AWAITED = "waiting for the poses of"
@@ -167,8 +167,7 @@ def read_points(
         lines.append(f"{AWAITED} {some(awaited, 4)}, whose points are there")
     if kind == "array":
         return _of_echoes(station, numbers, sensor.echo), units, warnings, tuple(lines)
-    all_points = station, numbers, np.full(len(numbers), np.nan)
-    return all_points, units, warnings, tuple(lines)
+    return (station, numbers, None), units, warnings, tuple(lines)
 
 
 def believed(
@@ -336,7 +335,7 @@ def _of_echoes(station: IntArray, numbers: FloatArray, echo: Echo) -> Points:
         one_a_zone = first if echo == "near" else np.roll(first, -1)
         kept = np.sort(order[one_a_zone])
         station, numbers, before = station[kept], numbers[kept], before[kept]
-    return station, numbers, before
+    return station, numbers, before if np.isfinite(before).any() else None
 
 
 def _column(table: FileTable, name: str) -> str:

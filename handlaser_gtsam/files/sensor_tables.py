@@ -175,8 +175,7 @@ class SurveyTables:
                 names = found.stations.station_names
                 station, numbers, more = believed(table, *published, names)
                 warnings += more
-                own = station, numbers, np.full(len(numbers), np.nan)
-                shots.append(self._shots(table, own, 1.0, 1.0))
+                shots.append(self._shots(table, (station, numbers, None), 1.0, 1.0))
         return found._replace(warnings=tuple(warnings)), tuple(shots)
 
     def _read(
@@ -219,11 +218,11 @@ class SurveyTables:
         """Return shots of the numbers of each point, whose units are a length [m] and an angle [rad].
 
         They come with the station (N,) of each point, and with the nearest echo (N,) that a zone read
-        before it, NaN for none.
+        before it, as `Points` has them.
         """
         station, numbers, before = points
-        several, name = bool(np.isfinite(before).any()), table.name
-        if table.clear_mm and not several:
+        name = table.name
+        if table.clear_mm and before is None:
             found = f"clear_mm of {name}, none of whose readings stands behind another"
             raise InputError(found, "an array with several readings a zone, and echo not near")
         if (table.zones is None) == (table.kind == "array"):
@@ -241,7 +240,7 @@ class SurveyTables:
         else:
             zones = self.folder / str(table.zones)
             u = directions_of(self.copies.get(zones, zones), *numbers.T)
-            noise["before"] = before * length if several else None
+            noise["before"] = None if before is None else before * length
             shots = Shots.array(name, station, u, reading, table.convention, **noise)
         _require_lengths(shots)
         return shots.clear_of(table.clear_mm * MM) if table.clear_mm else shots
