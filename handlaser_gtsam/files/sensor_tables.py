@@ -206,8 +206,8 @@ class SurveyTables:
                 _require_several_rays(table, points[0], points[1][:, 0])
             if turns:
                 _require_turns(table, points[1][:, 0], stated=named["angle"] or table.angles or "")
-            length, words = _unit("units", table.units or "", {named[one] for one in lengths}, "mm")
-            angle, more = _unit("angles", table.angles or "", {named[one] for one in turns}, "deg")
+            length, words = _unit(table, "units", {named[one] for one in lengths})
+            angle, more = _unit(table, "angles", {named[one] for one in turns})
             shots = self._shots(table, points, LENGTHS[length], ANGLES[angle])
         words += f" and {more}" if turns else ""
         if table.kind == "profiler" and shots.reading.max() < 0.0:
@@ -341,26 +341,26 @@ class SurveyRig(FileRecord):
         return SurveyTables(many, beams, tuple(known), folder)
 
 
-def _unit(field: str, stated: str, named: set[str], usual: str) -> tuple[str, str]:
-    """Return the unit of columns, and how it is known.
+def _unit(
+    table: SensorTable, field: Literal["units", "angles"], named: set[str]
+) -> tuple[str, str]:
+    """Return the unit of columns, and how it is known; mm or deg is assumed where nothing says it.
 
     Parameters
     ----------
-    field : str
-        The field of [[sensors]] that states it.
-    stated : str
-        What it states; empty where it states nothing.
+    table : SensorTable
+    field : {"units", "angles"}
+        Which of its fields may state it.
     named : set of str
         The units in the names of the columns, empty of a name without one.
-    usual : str
-        What is assumed where nothing says it.
 
     Raises
     ------
     InputError
         A unit in a name that is not the one that is stated, that others have, or that can be read.
     """
-    known = LENGTHS if field == "units" else ANGLES
+    known, usual = (LENGTHS, "mm") if field == "units" else (ANGLES, "deg")
+    stated = getattr(table, field) or ""
     written = sorted(named - {""})
     if any(one not in known for one in written) or len({*written, stated} - {""}) > 1:
         found = f"the unit {' and '.join(map(shown, written))} in names of columns"
