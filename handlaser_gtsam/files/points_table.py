@@ -213,7 +213,7 @@ def without_copies(station: IntArray, numbers: FloatArray) -> tuple[IntArray, Fl
     order = np.argsort(station, kind="stable")
     names, first = np.unique(station[order], return_index=True)
     doubled, kept = [], []
-    for name, rows in zip(names.tolist(), np.split(order, first[1:]), strict=True):
+    for name, rows in zip(names.tolist(), np.split(order, first)[1:], strict=True):
         once = _first_copies(numbers[rows])
         if len(once) < len(rows):
             doubled.append(name)

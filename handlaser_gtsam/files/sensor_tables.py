@@ -175,6 +175,9 @@ class SurveyTables:
                 names = found.stations.station_names
                 station, numbers, more = believed(table, *published, names)
                 warnings += more
+                if not len(station):
+                    found_so = f"no point of {table.name} at any station before a target"
+                    raise InputError(found_so, "some while the hand stands there")
                 shots.append(self._shots(table, (station, numbers, None), 1.0, 1.0))
         return found._replace(warnings=tuple(warnings)), tuple(shots)
 
