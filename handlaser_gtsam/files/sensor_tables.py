@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
 from ..checks import require_number, require_word
-from ..data.survey import ERRORS, RELATIONS, Convention, Echo, Kind, Known, Shots
+from ..data.survey import ERRORS, RELATIONS, Convention, Echo, Kind, Known, Shots, Survey
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
 from ..model.sensor_limits import LONG_RANGE
@@ -42,7 +42,6 @@ from .recording_csv import known_numbers
 from .writing import same_file
 
 if TYPE_CHECKING:  # tables of points are read where a rig file names some
-    from .logs.assembling import SurveyStations
     from .points_table import Points
 
 SINGLE = "beam"
@@ -151,8 +150,8 @@ class SurveyTables:
         shots, lines, warnings = zip(*read, strict=True)
         return shots, tuple(chain(*lines)), tuple(chain(*warnings))
 
-    def bag(self, path: Path, given: LogFormat) -> "tuple[SurveyStations, tuple[Shots, ...]]":
-        """Return the stops of the hand in a bag with what single beams read there, and the shots.
+    def bag(self, path: Path, given: LogFormat) -> Survey:
+        """Return the stops of the hand in a bag, and what sensors and single beams read there.
 
         Raises
         ------
@@ -179,7 +178,14 @@ class SurveyTables:
                     found_so = f"no point of {table.name} at any station before a target"
                     raise InputError(found_so, "some while the hand stands there")
                 shots.append(self._shots(table, (station, numbers, None), 1.0, 1.0))
-        return found._replace(warnings=tuple(warnings)), tuple(shots)
+        return Survey(
+            found.stations,
+            tuple(shots),
+            found.ranges,
+            found.beams,
+            lines=found.lines,
+            warnings=tuple(warnings),
+        )
 
     def _read(
         self, table: SensorTable, stations: tuple[str, ...], station_column: str

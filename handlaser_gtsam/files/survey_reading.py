@@ -69,11 +69,12 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     numbers: FloatArray | None = None  # of poses, where these may mean something else
     if is_bag(path):
         refuse_of_a_bag(log, path, OF_SCATTER if log.range_columns else OF_READINGS)
-        read, shots = tables.bag(path, log)
-        stations, ranges, beams, lines, coded = read
+        of_bag = tables.bag(path, log)
+        stations, shots, ranges = of_bag.stations, of_bag.shots, of_bag.ranges
+        beams, lines, coded = of_bag.beam_names, of_bag.lines, of_bag.warnings
     elif is_log(path, log, readings=names_ranges(log)):
-        read, numbers, log = _of_log(path, rig)
-        stations, ranges, beams, lines, coded = read
+        of_log, numbers, log = _of_log(path, rig)
+        stations, ranges, beams, lines, coded = of_log
         shots, more, of_shots = tables.shots(stations.station_names, log.station_column)
         lines, coded = (*lines, *more), (*coded, *of_shots)
     else:
