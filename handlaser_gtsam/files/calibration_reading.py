@@ -220,30 +220,19 @@ def read_calibration(path: Path | str) -> CalibrationFile | SurveyFile:
     return checked(data, CalibrationFile, expected, path)
 
 
-def read_of_beams(path: Path | str) -> CalibrationFile:
-    """Do as `read_calibration` with beams before planes, and refuse the result of a survey.
-
-    Raises
-    ------
-    InputError
-    """
-    file = read_calibration(path)
-    if isinstance(file, SurveyFile):
-        found = "the result of a survey: sensors of many rays, other targets or relations"
-        raise InputError(found, "a calibration of beams before planes", path_of(path))
-    return file
-
-
 def read_mounts(path: Path | str) -> Mounts:
     """Read the beams of a calibration and their joint covariance.
 
     Raises
     ------
     InputError
-        No such file, no calibration that converged, or numbers that cannot be.
+        No such file, no calibration that converged, the result of a survey, or numbers that cannot be.
     """
-    file = read_of_beams(path)
+    file = read_calibration(path)
     with in_file(path_of(path)):
+        if isinstance(file, SurveyFile):
+            found = "the result of a survey: sensors of many rays, other targets or relations"
+            raise InputError(found, "a calibration of beams before planes")
         return mounts_of(file)
 
 

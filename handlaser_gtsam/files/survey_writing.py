@@ -72,11 +72,9 @@ def write_simulated(
         )
         if table.kind == "array":
             content = content.with_columns(pl.col("zone").cast(pl.Int64))
-        write_text(folder / _points(table), content.write_csv())
-        if table.kind == "array":
             u = pl.DataFrame(zones[table.name], schema=["x", "y", "z"], orient="row")
-            content = u.with_row_index("zone")
-            write_text(folder / _zones(table), content.write_csv())
+            write_text(folder / _zones(table), u.with_row_index("zone").write_csv())
+        write_text(folder / _points(table), content.write_csv())
     more = "".join(map(_sensor_text, (*tables, *beams)))
     half_angle = float(survey.cones[0]) if len(survey.cones) and not beams else 0.0
     write_rig(folder / RIG, noise, sensor, more, half_angle)
