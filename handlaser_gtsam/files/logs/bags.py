@@ -154,18 +154,22 @@ class BeamTopics:
             if not len(self.numbers[name]):
                 found = f"no reading of beam {name} within the limits of its messages, on {topic}"
                 raise InputError(found, "at least one, or the other topics by --range-columns")
-        every = [np.frombuffer(of_beam, dtype=np.float64) for of_beam in self.numbers.values()]
-        time, reading = np.concatenate(every).reshape(-1, 2).T
-        beam = np.repeat(np.arange(len(every)), [len(of_beam) // 2 for of_beam in every])
-        whole = pl.DataFrame({"beam": beam, "time": time, "reading": reading})
+        rows = []
+        for of_beam in self.numbers.values():
+            x = np.frombuffer(of_beam, dtype=np.float64).reshape(-1, 2)
+            rows.append(x[np.argsort(x[:, 0], kind="stable")])
+        time, value = np.concatenate(rows).T
         # A second reading of a beam at the same moment gets a row of its own.
-        again = pl.int_range(pl.len()).over("beam", "time")
-        wide = whole.with_columns(again=again).pivot(
-            "beam", index=("time", "again"), values="reading"
+        again = np.concatenate(
+            [np.arange(len(x)) - np.searchsorted(x[:, 0], x[:, 0]) for x in rows]
         )
-        wide = wide.sort("time", "again")
-        d = wide.select(map(str, range(len(every)))).fill_null(np.nan).to_numpy()
-        times = wide["time"].to_numpy()
+        order = np.lexsort((again, time))
+        first = np.diff((time[order], again[order]), prepend=-1.0).any(axis=0)
+        row = np.empty(len(time), dtype=np.intp)
+        row[order] = np.cumsum(first) - 1
+        d = np.full((int(first.sum()), len(rows)), np.nan)
+        d[row, np.repeat(np.arange(len(rows)), list(map(len, rows)))] = value
+        times = time[order][first]
         readings = LogRows(lines_of(path, len(d)), tuple(self.numbers), d, times=times)
         if not self.cones:
             return readings
