@@ -105,6 +105,23 @@ def test_what_a_bag_has_is_what_was_published_at_the_stops(tmp_path, kind):
         assert error @ np.linalg.solve(C, error) < 50.0
 
 
+def test_a_sensor_that_reads_on_the_way_alone_is_named(tmp_path):
+    """It ended in a bug instead of a line."""
+    rig = rigs_by_rays.scanner(6, planes=3, stations=8)
+
+    def messages(make):
+        yield from published(rig, make, scans)
+        table = rig.tables["scanner"]
+        rows = np.flatnonzero(table["station"] == 0)
+        yield from scans(make, "other", table, rows, STAND + 0.5 * WAY)
+
+    bag = write_bag(tmp_path, "ros1", messages)
+    more = '\n[[sensors]]\nname = "other"\nkind = "scanner"\ntopics = ["other"]\n'
+    file = rig_file(tmp_path, rig, "scanner", ["scanner"], more)
+    with pytest.raises(hl.InputError, match="no point of other at any station before a target"):
+        hl.read_survey(bag, file)
+
+
 @pytest.mark.slow
 def test_units_are_not_stated_of_messages(tmp_path):
     rig = rigs_by_rays.scanner(6, planes=3, stations=8)

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.data.screening import codes_of_shots
-from handlaser_gtsam.files.points_table import without_copies
+from handlaser_gtsam.files.points_table import read_points, without_copies
+from handlaser_gtsam.files.sensor_tables import SensorTable
 from handlaser_gtsam.files.watch.watched import Watched
 from handlaser_gtsam.files.watch.worker import Calibrator
 
@@ -349,6 +350,14 @@ def test_points_that_all_stand_more_than_once_count_once(tmp_path, how):
     assert warning.code == "repeated-stations"
     assert warning.values == {"sensor": "line", "stations": 16, "repeated": 13, "first": "004"}
     assert once.warnings == ()
+
+
+def test_readings_that_all_are_zero_are_none(tmp_path):
+    """They ended in a bug instead of a line."""
+    (tmp_path / "points.csv").write_text("station,angle,reading\n1,0,0\n1,1,0\n")
+    scanner = SensorTable(name="scanner", kind="scanner")
+    with pytest.raises(hl.InputError, match="no reading at all"):
+        read_points(scanner, {"": tmp_path / "points.csv"}, ("1",))
 
 
 def test_rounded_readings_of_an_array_that_are_equal_are_no_copies():

@@ -30,6 +30,8 @@ from handlaser_gtsam.files.sensor_tables import (
 )
 from handlaser_gtsam.results.survey_relations import said_by_readings
 
+PROFILER = SensorTable(name="scanner", kind="profiler")
+
 
 @pytest.fixture
 def folder(tmp_path):
@@ -349,7 +351,8 @@ def test_tables_of_points_may_be_written_as_sensors_and_spreadsheets_do(folder, 
 def test_a_column_without_a_name_is_no_station(tmp_path):
     """As pandas writes the index of its rows, which may be names of stations."""
     (tmp_path / "points.csv").write_text(",station,x,z\n0,2,1,300\n1,2,2,300\n2,3,1,310\n")
-    (station, *_), *_ = read_points({"": tmp_path / "points.csv"}, "profiler", ("0", "1", "2", "3"))
+    table = {"": tmp_path / "points.csv"}
+    (station, *_), *_ = read_points(PROFILER, table, ("0", "1", "2", "3"))
     assert station.tolist() == [2, 2, 3]
 
 
@@ -828,9 +831,9 @@ def test_parquet_has_numbers_of_any_type_and_nothing_else(folder, case):
     names = tuple(f"P{i}" for i in range(1, 25))
     if words:
         with pytest.raises(hl.InputError, match=re.escape(words)):
-            read_points(table, "profiler", names)
+            read_points(PROFILER, table, names)
         return
-    (_, numbers, _), *_ = read_points(table, "profiler", names)
+    (_, numbers, _), *_ = read_points(PROFILER, table, names)
     kept = 1151 if case == "codes" else 1152
     assert numbers[:, 1] == pytest.approx(plain["z"].cast(pl.Float64).to_numpy()[-kept:])
 

@@ -199,10 +199,10 @@ def require_outputs_of(
     """
     from ..files.writing import require_outputs
 
-    require_outputs(outputs, (*inputs, *rig.log.files))
+    tables = () if rig.survey is None else rig.survey.files
+    require_outputs(outputs, (*inputs, *rig.log.files, *tables))
     if rig.survey is None:
         return
-    require_outputs(outputs, rig.survey.files)
     for option, path in outputs.items():
         if path is not None and rig.survey.reads(path):
             found = f"{option} with a name that points in [[sensors]] takes for a table of points"

@@ -44,5 +44,4 @@ def plot(
         found = calibrate(report.recording, rig.noise, model.options(rig))
         files = write_pictures(out, found, ReportOptions(rig))
     failure = None if found.status == "converged" else (Exit.UNDETERMINED, found.message)
-    warnings = [f"WARNING: {one.message}" for one in found.warnings]
-    Answer("", wrote(*files), warnings, failure).give(json=False)
+    Answer("", wrote(*files), found.warnings, failure).give(json=False)

@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from ..files.study_toml import SceneTable
 
 
-FILES = ("recording.csv", "rig.toml", "truth.json")
-
-
 USUAL_TARGETS = "plane:A,sphere:ball"
 """Targets of a survey where none are stated: together they determine every sensor."""
 Sigma = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
@@ -134,6 +131,7 @@ def _of_scene(
     from ..files.calibration_writing import write_truth
     from ..files.recording_csv import write_recording
     from ..files.rig_toml import write_rig
+    from ..files.writing import RECORDING, RIG, TRUTH
     from ..validation.scenes import SCENES, SENSORS
     from ..validation.simulate import simulate as simulated
 
@@ -142,11 +140,11 @@ def _of_scene(
     recording = simulated(truth, motion, errors, rng, sensor)
 
     def write(folder: Path) -> None:
-        write_recording(folder / FILES[0], recording)
-        write_rig(folder / FILES[1], errors.stated(), sensor)
-        write_truth(folder / FILES[2], truth, recording)
+        write_recording(folder / RECORDING, recording)
+        write_rig(folder / RIG, errors.stated(), sensor)
+        write_truth(folder / TRUTH, truth, recording)
 
-    return FILES, write
+    return (RECORDING, RIG, TRUTH), write
 
 
 def simulated_survey(

@@ -57,7 +57,7 @@ def watch(
         for name in ("starlette", "uvicorn"):
             imported(name, "watch", f"no {name}, which the page needs")
         from ..files.watch.follower import Follower
-        from ..files.watch.server import PageServer, listening
+        from ..files.watch.server import PageServer, is_loopback, listening
         from ..files.watch.watched import Watched, watched_files
 
         # What cannot be calibrated whatever the files say is refused now.
@@ -66,10 +66,11 @@ def watch(
         recording, rig = watched_files(path, given.rig)
         reading = metres(at_range_mm)
         watched = Watched(recording, rig, given.rig is not None, stated, options, reading)
-        server = PageServer(host, listening(host, port))
+        bound = listening(host, port)
+        server = PageServer(host, bound)
     with server:
         print(f"watching {printable(str(watched.recording))} at {server.url}")
-        if not server.loopback:
+        if not is_loopback(bound):
             print("whoever reaches this computer sees the page", file=sys.stderr)
         print("Ctrl-C ends", flush=True)
         if open_:

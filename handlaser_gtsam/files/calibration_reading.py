@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, Strict
 
-from ..arrays import FloatArray
 from ..errors import InputError, NotConvergedError
 from ..model.families import BEAM
 from ..model.sensors.mounted import SENSOR
@@ -192,18 +192,16 @@ class SurveyFile(ResultFile):
         """
         if not self.success:
             raise NotConvergedError(self.status, self.message)
-        sensors = [(SENSOR.name, one, np.array(one.rotation)) for one in self.sensors]
-        beams = [(BEAM.name, one, np.array(one.direction)) for one in self.beams]
-        every: list[tuple[str, SensorRecord | SurveyBeamRecord, FloatArray]] = [*sensors, *beams]
+
+        def placed(
+            kind: str, one: SensorRecord | SurveyBeamRecord, turned: ArrayLike
+        ) -> PlacedMount:
+            location, covariance = np.array(one.location_m), np.array(one.covariance, dtype=float)
+            return PlacedMount(kind, one.name, np.array(turned), location, covariance)
+
         return [
-            PlacedMount(
-                kind,
-                one.name,
-                turned,
-                np.array(one.location_m),
-                np.array(one.covariance, dtype=float),
-            )
-            for kind, one, turned in every
+            *(placed(SENSOR.name, one, one.rotation) for one in self.sensors),
+            *(placed(BEAM.name, one, one.direction) for one in self.beams),
         ]
 
 
@@ -222,30 +220,19 @@ def read_calibration(path: Path | str) -> CalibrationFile | SurveyFile:
     return checked(data, CalibrationFile, expected, path)
 
 
-def read_of_beams(path: Path | str) -> CalibrationFile:
-    """Do as `read_calibration` with beams before planes, and refuse the result of a survey.
-
-    Raises
-    ------
-    InputError
-    """
-    file = read_calibration(path)
-    if isinstance(file, SurveyFile):
-        found = "the result of a survey: sensors of many rays, other targets or relations"
-        raise InputError(found, "a calibration of beams before planes", path_of(path))
-    return file
-
-
 def read_mounts(path: Path | str) -> Mounts:
     """Read the beams of a calibration and their joint covariance.
 
     Raises
     ------
     InputError
-        No such file, no calibration that converged, or numbers that cannot be.
+        No such file, no calibration that converged, the result of a survey, or numbers that cannot be.
     """
-    file = read_of_beams(path)
+    file = read_calibration(path)
     with in_file(path_of(path)):
+        if isinstance(file, SurveyFile):
+            found = "the result of a survey: sensors of many rays, other targets or relations"
+            raise InputError(found, "a calibration of beams before planes")
         return mounts_of(file)
 
 
@@ -265,12 +252,12 @@ def mounts_of(file: CalibrationFile) -> Mounts:
         raise InputError("no beams", "one or more")
     return Mounts(
         tuple(beam.name for beam in beams),
-        np.array([beam.location_m for beam in beams]),
-        np.array([beam.direction for beam in beams]),
-        np.array([(beam.range_error.k1, beam.range_error.k2_per_m) for beam in beams]),
-        tuple(beam.range_error_terms for beam in beams),
-        square_matrix(rows, BEAM.size * len(beams), "beam_covariance"),
-        file.fit.range_sigma_m,
-        None if pose is None else square_matrix(pose, 6, "fit.pose_covariance"),
-        math.inf if file.fit.range_sigma_given else float(max(file.fit.dof, 1)),
+        locations=np.array([beam.location_m for beam in beams]),
+        directions=np.array([beam.direction for beam in beams]),
+        range_errors=np.array([(beam.range_error.k1, beam.range_error.k2_per_m) for beam in beams]),
+        terms=tuple(beam.range_error_terms for beam in beams),
+        covariance=square_matrix(rows, BEAM.size * len(beams), "beam_covariance"),
+        range_sigma=file.fit.range_sigma_m,
+        pose_covariance=None if pose is None else square_matrix(pose, 6, "fit.pose_covariance"),
+        dof=math.inf if file.fit.range_sigma_given else float(max(file.fit.dof, 1)),
     )

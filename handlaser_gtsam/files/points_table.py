@@ -12,20 +12,22 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
 from ..arrays import FloatArray, IntArray
-from ..data.screening import codes_of_shots
+from ..data.screening import codes_of_shots, shots_code_warning
 from ..data.survey import Echo
-from ..errors import InputError
+from ..errors import CalibrationWarning, InputError
 from ..model.conventions import plain
 from ..quantities import IN_MM, LARGEST_LENGTH
+from ..results.messages import Values, warned
 from ..text import count, shown, some
 from .checked_text import in_file
 from .logs.columns import unit_of
-from .logs.tables import FOREIGN, PARQUET, table_of_values
+from .logs.tables import FOREIGN, PARQUET, table_of_parquet
 from .recording_csv import known_numbers
 from .table import (
     MOST_TITLES,
@@ -36,6 +38,9 @@ from .table import (
     without_separator_line,
 )
 
+if TYPE_CHECKING:
+    from .sensor_tables import SensorTable
+
 COLUMNS = {
     "profiler": ("x", "z"),
     "scanner": ("angle", "reading"),
@@ -45,12 +50,9 @@ COLUMNS = {
 """Columns beside `station`, by the kind of the sensor."""
 OF_DISTANCES = "scanner", "array"
 """Kinds whose readings are distances, none of which is below zero."""
-Points = tuple[IntArray, FloatArray, FloatArray]
+Points = tuple[IntArray, FloatArray, FloatArray | None]
 """The station (N,) of each point, from 0, its columns (N, c), and (N,) the nearest reading of the zone
-of an array at the station, NaN for that reading itself and for other kinds."""
-Codes = dict[float, int]
-"""Numbers that were no readings, and how many of each there were."""
-
+of an array at the station, NaN for that reading itself; None where no zone has several."""
 A_NUMBER = r"[0-9]+(\.[0-9]+)?"
 """Names of stations that are compared as numbers where they differ as texts."""
 AWAITED = "waiting for the poses of"
@@ -60,28 +62,24 @@ DECIMAL_COMMA = r"^([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)$"
 
 
 def read_points(
+    sensor: "SensorTable",
     files: Mapping[str, Path],
-    kind: str,
     stations: Sequence[str],
-    echo: Echo = "all",
     station_column: str = "",
     *,
     growing: bool = False,
-) -> tuple[Points, dict[str, str], Codes, IntArray, tuple[str, ...]]:
-    """Return points as they stand, the units of their columns, their codes, and what was passed over.
+) -> tuple[Points, dict[str, str], list[CalibrationWarning], tuple[str, ...]]:
+    """Return points as they stand, the units of their columns, warnings, and what was passed over.
 
-    The unit is that in the name of the column, empty for none. Points that stand more than once count
-    once; the stations (K,) of which this is come before the lines on what was passed over.
+    The unit is that in the name of the column, empty for none.
 
     Parameters
     ----------
+    sensor : SensorTable
     files : mapping of str to Path
         Tables by the station that each is of; by an empty name one of all stations.
-    kind : str
     stations : sequence of str
         Names of the stations, as the column `station` has them.
-    echo : {"all", "near", "far"}
-        Which readings of a zone count, where it has several at a station.
     station_column : str
         What the log of poses calls that column; a table of points may call it so, too.
     growing : bool
@@ -93,7 +91,7 @@ def read_points(
         No such file, a column that is missing, a station that is not there, or no number; columns that
         are in one unit in one file, and in another in the next.
     """
-    place = {name: i for i, name in enumerate(stations)}
+    kind, place = sensor.kind, {name: i for i, name in enumerate(stations)}
     station_of = _stations_by_name(stations)
     of_recording = f"of the recording, such as {some(list(place), 4)}"
     parts: list[tuple[IntArray, FloatArray]] = []
@@ -146,8 +144,7 @@ def read_points(
             raise InputError(found, "one unit in all files", path)
         parts.append(points)
         units = named
-    codes: Codes = {}
-    doubled: IntArray = np.empty(0, dtype=np.intp)
+    warnings: list[CalibrationWarning] = []
     if parts:
         station = np.concatenate([at for at, _ in parts])
         numbers = np.concatenate([points for _, points in parts])
@@ -155,14 +152,7 @@ def read_points(
         if kind in OF_DISTANCES and reading.min(initial=0.0) < 0.0 >= reading.max():
             found = f"no {COLUMNS[kind][-1]} above zero, and some below it"
             raise InputError(found, "distances: reverse their sign", next(iter(files.values())))
-        if kind != "profiler":
-            good = (numbers != 0.0).any(axis=1) if kind == "points" else reading > 0.0
-            station, numbers = station[good], numbers[good]
-        station, numbers, doubled = without_copies(station, numbers)
-        station, numbers, codes = without_codes(station, numbers)
-        if kind in OF_DISTANCES:
-            negative, times = np.unique(reading[reading < 0.0], return_counts=True)
-            codes |= dict(zip(negative.tolist(), times.tolist(), strict=True))
+        station, numbers, warnings = believed(sensor, station, numbers, stations)
     if awaited and not parts:
         found = f"points of station {some([shown(one) for one in awaited], 4)} only"
         raise InputError(found, f"some of stations {of_recording}", next(iter(files.values())))
@@ -176,9 +166,41 @@ def read_points(
     if awaited:
         lines.append(f"{AWAITED} {some(awaited, 4)}, whose points are there")
     if kind == "array":
-        return _of_echoes(station, numbers, echo), units, codes, doubled, tuple(lines)
-    all_points = station, numbers, np.full(len(numbers), np.nan)
-    return all_points, units, codes, doubled, tuple(lines)
+        return _of_echoes(station, numbers, sensor.echo), units, warnings, tuple(lines)
+    return (station, numbers, None), units, warnings, tuple(lines)
+
+
+def believed(
+    sensor: "SensorTable", station: IntArray, numbers: FloatArray, stations: Sequence[str]
+) -> tuple[IntArray, FloatArray, list[CalibrationWarning]]:
+    """Return stations (N,) and numbers (N, c) of points that are some, each once, with warnings.
+
+    Codes for no reading are left away, and points that stand more than once count once.
+    """
+    kind, reading = sensor.kind, numbers[:, -1]
+    if kind != "profiler":
+        good = (numbers != 0.0).any(axis=1) if kind == "points" else reading > 0.0
+        station, numbers = station[good], numbers[good]
+    station, numbers, doubled = without_copies(station, numbers)
+    left = numbers[:, -1]
+    codes = codes_of_shots(left, station)
+    kept = ~np.isin(left, list(codes))
+    station, numbers = station[kept], numbers[kept]
+    warnings = []
+    if len(doubled):
+        values: Values = {"sensor": sensor.name, "stations": len(np.unique(station))}
+        values = {**values, "repeated": len(doubled), "first": stations[int(doubled[0])]}
+        warnings.append(warned("repeated-stations:points", values))
+    what = COLUMNS[kind][-1]
+    for code in codes:
+        words = f"{what} = {code:.10g}"
+        warnings.append(shots_code_warning(words, sensor.name, int((left == code).sum())))
+    negative = reading[reading < 0.0] if kind in OF_DISTANCES else reading[:0]
+    if len(negative):  # perhaps many different ones
+        words = some([f"{code:.10g}" for code in np.unique(negative).tolist()], 4)
+        words = f"{what} = {words}"
+        warnings.append(shots_code_warning(words, sensor.name, len(negative), negative=True))
+    return station, numbers, warnings
 
 
 def without_copies(station: IntArray, numbers: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:
@@ -191,7 +213,7 @@ def without_copies(station: IntArray, numbers: FloatArray) -> tuple[IntArray, Fl
     order = np.argsort(station, kind="stable")
     names, first = np.unique(station[order], return_index=True)
     doubled, kept = [], []
-    for name, rows in zip(names.tolist(), np.split(order, first[1:]), strict=True):
+    for name, rows in zip(names.tolist(), np.split(order, first)[1:], strict=True):
         once = _first_copies(numbers[rows])
         if len(once) < len(rows):
             doubled.append(name)
@@ -218,16 +240,6 @@ def _first_copies(rows: FloatArray) -> IntArray:
             continue
         return kept[_first_copies(rows[kept])]
     return kept
-
-
-def without_codes(station: IntArray, numbers: FloatArray) -> tuple[IntArray, FloatArray, Codes]:
-    """Return stations (N,) and numbers (N, c) of points without those whose reading is a code."""
-    reading = numbers[:, -1]
-    codes = {code: int((reading == code).sum()) for code in codes_of_shots(reading, station)}
-    if codes:
-        kept = ~np.isin(reading, list(codes))
-        station, numbers = station[kept], numbers[kept]
-    return station, numbers, codes
 
 
 def _stations_by_name(stations: Sequence[str]) -> Callable[[str], str]:
@@ -323,7 +335,7 @@ def _of_echoes(station: IntArray, numbers: FloatArray, echo: Echo) -> Points:
         one_a_zone = first if echo == "near" else np.roll(first, -1)
         kept = np.sort(order[one_a_zone])
         station, numbers, before = station[kept], numbers[kept], before[kept]
-    return station, numbers, before
+    return station, numbers, before if np.isfinite(before).any() else None
 
 
 def _column(table: FileTable, name: str) -> str:
@@ -361,7 +373,7 @@ def read_frame(path: Path, expected: str, header: str) -> FileTable:
             raise InputError("no readable file", expected, path)
         try:
             with in_file(path):
-                return table_of_values(pl.read_parquet(path), path)
+                return table_of_parquet(path)
         except (pl.exceptions.PolarsError, OSError) as error:
             what = str(error).splitlines()[0][:120]
             raise InputError(f"no table ({what})", expected, path) from error

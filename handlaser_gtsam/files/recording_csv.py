@@ -40,8 +40,9 @@ from .writing import path_of, write_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 PREFIX, SAMPLES = "range_", "samples_"
-QUATERNION_TOLERANCE = 1e-3
-"""Largest difference of a quaternion's length from 1: controllers write six digits or fewer."""
+ROTATION_TOLERANCE = 1e-3
+"""Largest difference of a quaternion's length from 1, and of an entry of R'R from the identity: the
+nearest rotation is taken, since controllers write six digits or fewer."""
 MISSPELT = 0.75
 """Likeness to `range` (difflib) above which the name of a column is a misspelt beam and not ignored."""
 JOINT = "joint_"
@@ -103,14 +104,16 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
         warnings = (*warnings, warned("stations-left-out", left_out, nothing=""))
     return Recording(
         R,
-        t,
-        ranges,
-        planes,
-        tuple(beams),
-        names,
-        tuple(x for x in table.frame.columns if not _used(x, PREFIX) and x not in samples),
-        _samples(table, beams, ranges) if samples else None,
-        warnings,
+        world_t_hand=t,
+        ranges=ranges,
+        plane_labels=planes,
+        beam_names=tuple(beams),
+        station_names=names,
+        ignored_columns=tuple(
+            x for x in table.frame.columns if not _used(x, PREFIX) and x not in samples
+        ),
+        samples=_samples(table, beams, ranges) if samples else None,
+        warnings=warnings,
         range_min=min(0.0, (sensor or Sensor()).range_min),
     )
 
@@ -175,7 +178,7 @@ def stations_of(
     length, wrong = off_unit(x[:, 3:])
     off = length[wrong.argmax()]
     found = f"a quaternion of length {off:.6g}, {abs(off - 1.0):.2g} off"
-    expected = f"length 1 within {QUATERNION_TOLERANCE:g}, in the order qx, qy, qz, qw"
+    expected = f"length 1 within {ROTATION_TOLERANCE:g}, in the order qx, qy, qz, qw"
     table.refuse(wrong, "qx, qy, qz, qw", expected, found)
     return Rotation.from_quat(x[:, 3:]).as_matrix(), x[:, :3], planes, stations
 
@@ -225,7 +228,7 @@ def off_unit(q: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return the length (M,) of quaternions (M, 4), and which of them are not of unit length."""
     with np.errstate(over="ignore"):  # an infinite length is refused like any other
         length = np.linalg.norm(q, axis=1)
-    return length, ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)
+    return length, ~(np.abs(length - 1.0) <= ROTATION_TOLERANCE)
 
 
 def write_stations(path: Path | str, stations: StationList) -> None:

@@ -18,7 +18,7 @@ that name, what differs from the others: sigma_mm, and half_angle_deg of its con
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -30,21 +30,19 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
 from ..checks import require_number, require_word
-from ..data.screening import shots_code_warning
 from ..data.survey import ERRORS, RELATIONS, Convention, Echo, Kind, Known, Shots, Survey
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
 from ..model.sensor_limits import LONG_RANGE
 from ..quantities import DEG, IN_DEG, IN_MM, LARGEST_LENGTH, MAJORITY, MM, WIDEST_CONE
-from ..results.messages import Values, warned
-from ..text import shown, some
+from ..text import shown
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
 from .recording_csv import known_numbers
 from .writing import same_file
 
 if TYPE_CHECKING:  # tables of points are read where a rig file names some
-    from .points_table import Codes, Points
+    from .points_table import Points
 
 SINGLE = "beam"
 """The kind of a single beam."""
@@ -160,7 +158,7 @@ class SurveyTables:
         InputError
         """
         from .logs.bag_points import read_bag_points
-        from .points_table import without_codes, without_copies
+        from .points_table import believed
 
         for table in self.sensors:
             if table.points or not table.topics:
@@ -169,18 +167,17 @@ class SurveyTables:
             if table.units not in (None, "m") or table.angles not in (None, "rad"):
                 stated = f"units or angles of {table.name} with topics of a bag"
                 raise InputError(stated, "none: messages are in metres and radians", path)
-        wanted = [(table.name, table.kind, table.topics) for table in self.sensors]
         with in_file(path):
-            found = read_bag_points(path, given, wanted)
+            found, points = read_bag_points(path, given, self.sensors)
             shots, warnings = [], list(found.warnings)
-            for table, published in zip(self.sensors, found.points, strict=True):
-                station, numbers, doubled = without_copies(*published)
-                station, numbers, codes = without_codes(station, numbers)
+            for table, published in zip(self.sensors, points, strict=True):
                 names = found.stations.station_names
-                warnings += _copy_warnings(table, published[0], doubled, names)
-                warnings += _code_warnings(table, codes)
-                own = station, numbers, np.full(len(numbers), np.nan)
-                shots.append(self._shots(table, own, 1.0, 1.0))
+                station, numbers, more = believed(table, *published, names)
+                warnings += more
+                if not len(station):
+                    found_so = f"no point of {table.name} at any station before a target"
+                    raise InputError(found_so, "some while the hand stands there")
+                shots.append(self._shots(table, (station, numbers, None), 1.0, 1.0))
         return Survey(
             found.stations,
             tuple(shots),
@@ -206,11 +203,10 @@ class SurveyTables:
         if not files:
             example = path.name.replace(EACH, stations[0])
             raise InputError("no such file", f"one a station, as {example} of the first", path)
-        growing = bool(self.copies)
         from .points_table import read_points
 
-        points, named, codes, doubled, lines = read_points(
-            files, table.kind, stations, table.echo, station_column, growing=growing
+        points, named, warnings, lines = read_points(
+            table, files, stations, station_column, growing=bool(self.copies)
         )
         turns = {"angle"} & named.keys()
         lengths = named.keys() - turns - {"zone"}
@@ -219,25 +215,23 @@ class SurveyTables:
                 _require_several_rays(table, points[0], points[1][:, 0])
             if turns:
                 _require_turns(table, points[1][:, 0], stated=named["angle"] or table.angles or "")
-            length, words = _unit("units", table.units or "", {named[one] for one in lengths}, "mm")
-            angle, more = _unit("angles", table.angles or "", {named[one] for one in turns}, "deg")
+            length, words = _unit(table, "units", {named[one] for one in lengths})
+            angle, more = _unit(table, "angles", {named[one] for one in turns})
             shots = self._shots(table, points, LENGTHS[length], ANGLES[angle])
         words += f" and {more}" if turns else ""
         if table.kind == "profiler" and shots.reading.max() < 0.0:
             words += ", all z below zero: its mount is that of a frame whose z points backwards"
-        warnings = _copy_warnings(table, points[0], doubled, stations)
-        warnings += _code_warnings(table, codes)
         return shots, (f"{table.name} in {words}", *lines), warnings
 
     def _shots(self, table: SensorTable, points: "Points", length: float, angle: float) -> Shots:
         """Return shots of the numbers of each point, whose units are a length [m] and an angle [rad].
 
         They come with the station (N,) of each point, and with the nearest echo (N,) that a zone read
-        before it, NaN for none.
+        before it, as `Points` has them.
         """
         station, numbers, before = points
-        several, name = bool(np.isfinite(before).any()), table.name
-        if table.clear_mm and not several:
+        name = table.name
+        if table.clear_mm and before is None:
             found = f"clear_mm of {name}, none of whose readings stands behind another"
             raise InputError(found, "an array with several readings a zone, and echo not near")
         if (table.zones is None) == (table.kind == "array"):
@@ -255,7 +249,7 @@ class SurveyTables:
         else:
             zones = self.folder / str(table.zones)
             u = directions_of(self.copies.get(zones, zones), *numbers.T)
-            noise["before"] = before * length if several else None
+            noise["before"] = None if before is None else before * length
             shots = Shots.array(name, station, u, reading, table.convention, **noise)
         _require_lengths(shots)
         return shots.clear_of(table.clear_mm * MM) if table.clear_mm else shots
@@ -304,34 +298,6 @@ class SurveyTables:
     def folders(self) -> tuple[Path, ...]:
         """Folders into which further tables of points come, one a station."""
         return tuple(path.parent for path in self._of_each)
-
-
-def _copy_warnings(
-    table: SensorTable, station: IntArray, doubled: IntArray, names: Sequence[str]
-) -> list[CalibrationWarning]:
-    """Warn of stations (K,) all of whose points stand more than once; points are at stations (N,)."""
-    if not len(doubled):
-        return []
-    values: Values = {"sensor": table.name, "stations": len(np.unique(station))}
-    values = {**values, "repeated": len(doubled), "first": names[int(doubled[0])]}
-    return [warned("repeated-stations:points", values)]
-
-
-def _code_warnings(table: SensorTable, codes: "Codes") -> list[CalibrationWarning]:
-    from .points_table import COLUMNS, OF_DISTANCES
-
-    what = COLUMNS[table.kind][-1]
-    negative = [code for code in codes if code < 0.0 and table.kind in OF_DISTANCES]
-    warnings = [
-        shots_code_warning(f"{what} = {code:.10g}", table.name, times)
-        for code, times in codes.items()
-        if code not in negative
-    ]
-    if negative:  # perhaps many different ones
-        words = f"{what} = {some([f'{code:.10g}' for code in negative], 4)}"
-        times = sum(codes[code] for code in negative)
-        warnings.append(shots_code_warning(words, table.name, times, negative=True))
-    return warnings
 
 
 def _of_station(points: Path) -> re.Pattern[str]:
@@ -384,26 +350,26 @@ class SurveyRig(FileRecord):
         return SurveyTables(many, beams, tuple(known), folder)
 
 
-def _unit(field: str, stated: str, named: set[str], usual: str) -> tuple[str, str]:
-    """Return the unit of columns, and how it is known.
+def _unit(
+    table: SensorTable, field: Literal["units", "angles"], named: set[str]
+) -> tuple[str, str]:
+    """Return the unit of columns, and how it is known; mm or deg is assumed where nothing says it.
 
     Parameters
     ----------
-    field : str
-        The field of [[sensors]] that states it.
-    stated : str
-        What it states; empty where it states nothing.
+    table : SensorTable
+    field : {"units", "angles"}
+        Which of its fields may state it.
     named : set of str
         The units in the names of the columns, empty of a name without one.
-    usual : str
-        What is assumed where nothing says it.
 
     Raises
     ------
     InputError
         A unit in a name that is not the one that is stated, that others have, or that can be read.
     """
-    known = LENGTHS if field == "units" else ANGLES
+    known, usual = (LENGTHS, "mm") if field == "units" else (ANGLES, "deg")
+    stated = getattr(table, field) or ""
     written = sorted(named - {""})
     if any(one not in known for one in written) or len({*written, stated} - {""}) > 1:
         found = f"the unit {' and '.join(map(shown, written))} in names of columns"

@@ -2,24 +2,29 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..data.recording import Recording
 from ..data.station_list import StationList
-from ..data.survey import Survey
-from ..errors import CalibrationWarning, InputError
+from ..data.survey import Shots, Survey
+from ..errors import InputError
 from ..model.conventions import UNIT_WORDS, numbers_of
 from ..text import some
 from .checked_text import in_file
-from .logs.assembling import averaged, how_joined, odd_readings, targets_of
+from .logs.assembling import (
+    SurveyStations,
+    averaged,
+    how_joined,
+    odd_readings,
+    stations_before,
+    targets_of,
+)
 from .logs.bags import is_bag
 from .logs.columns import names_ranges
 from .logs.format import NO_HALF_ANGLE, LogFormat
 from .logs.format_checks import convention_of
-from .logs.poses import hand_poses
 from .logs.reading import (
     OF_READINGS,
     OF_SCATTER,
@@ -61,19 +66,17 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         expected = "one of them in the rig file, or half_angle_deg in [sensor]"
         raise InputError("no table [[sensors]] or [[known]]", expected, path)
     tables, log = rig.survey, rig.log
-    ranges: FloatArray | None = None
-    numbers: FloatArray | None = None
-    beams, lines = tuple[str, ...](), tuple[str, ...]()
+    numbers: FloatArray | None = None  # of poses, where these may mean something else
     if is_bag(path):
         refuse_of_a_bag(log, path, OF_SCATTER if log.range_columns else OF_READINGS)
-        read = tables.bag(path, log)
-        stations, shots, lines, coded = read.stations, read.shots, read.lines, read.warnings
-        ranges, beams = read.ranges, read.beam_names
+        of_bag = tables.bag(path, log)
+        stations, shots, ranges = of_bag.stations, of_bag.shots, of_bag.ranges
+        beams, lines, coded = of_bag.beam_names, of_bag.lines, of_bag.warnings
     elif is_log(path, log, readings=names_ranges(log)):
-        of_log = _of_log(path, rig)
-        stations, numbers, ranges, beams, log = of_log[:5]
-        shots, lines, coded = tables.shots(stations.station_names, log.station_column)
-        lines, coded = (*of_log.lines, *lines), (*of_log.warnings, *coded)
+        of_log, numbers, log = _of_log(path, rig)
+        stations, ranges, beams, lines, coded = of_log
+        shots, more, of_shots = tables.shots(stations.station_names, log.station_column)
+        lines, coded = (*lines, *more), (*coded, *of_shots)
     else:
         table = read_table(path, ("plane", *POSE))
         stations = StationList(*stations_of(table, PREFIX))
@@ -82,6 +85,8 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         ranges = range_numbers(table, columns, rig.sensor)[0] if columns else None
         shots, lines, coded = tables.shots(stations.station_names)
         lines = (*(one.message for one in table.warnings), *lines)
+        at = stations.world_R_hand, stations.world_t_hand
+        numbers = numbers_of(*at, convention_of(log))
     if rig.half_angle and not beams:
         found = "half_angle_deg in [sensor], and no single beam that it would count for"
         where = "columns range_NAME of single beams in the table of stations"
@@ -90,44 +95,13 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         expected = f"{where}, or no half_angle_deg"
         raise InputError(found, expected, path)
     with in_file(path):
-        survey = _survey(stations, ranges, beams, rig, shots=shots, lines=lines)
+        survey = _survey(stations, shots, ranges, beams, rig)
     cones = np.count_nonzero(survey.cones)
     coded = tuple(one for one in coded if one.code != NO_HALF_ANGLE or cones < one.values["beams"])
-    warnings = coded
-    if shots and not is_bag(path):
+    if numbers is not None:
         with in_file(path):
-            if numbers is None:
-                at = stations.world_R_hand, stations.world_t_hand
-                numbers = numbers_of(*at, convention_of(log))
-            warnings += refuse_wrong_reading(survey, numbers, log)
-    return replace(survey, warnings=warnings)
-
-
-class _LogStations(NamedTuple):
-    """The stations of a log, and what single beams read there.
-
-    Attributes
-    ----------
-    stations : StationList
-    numbers : (S, k)
-        The pose of each as the log has it.
-    ranges : (S, B), optional
-        [m]; None where the log has poses only.
-    beams : tuple of str
-    log : LogFormat
-        How the log is written, with the columns of its poses.
-    lines : tuple of str
-        How the log was read, for a person.
-    warnings : tuple of CalibrationWarning
-    """
-
-    stations: StationList
-    numbers: FloatArray
-    ranges: FloatArray | None
-    beams: tuple[str, ...]
-    log: LogFormat
-    lines: tuple[str, ...]
-    warnings: tuple[CalibrationWarning, ...]
+            coded += refuse_wrong_reading(survey, numbers, log)
+    return replace(survey, lines=lines, warnings=coded)
 
 
 def survey_of(recording: Recording, rig: Rig) -> Survey:
@@ -138,26 +112,46 @@ def survey_of(recording: Recording, rig: Rig) -> Survey:
         recording.plane_labels,
         recording.station_names,
     )
-    beams, warnings = recording.beam_names, recording.warnings
-    return _survey(stations, recording.ranges, beams, rig, warnings=warnings)
+    survey = _survey(stations, (), recording.ranges, recording.beam_names, rig)
+    return replace(survey, warnings=recording.warnings)
 
 
 def _survey(
-    stations: StationList, ranges: FloatArray | None, beams: tuple[str, ...], rig: Rig, **more: Any
+    stations: StationList,
+    shots: tuple[Shots, ...],
+    ranges: FloatArray | None,
+    beams: tuple[str, ...],
+    rig: Rig,
 ) -> Survey:
-    """Return a survey of single beams that are as a rig file says, and more."""
+    """Return a survey of shots, and of single beams that are as a rig file says."""
     if ranges is not None:  # without those that the sensor cannot give
         ranges = np.where(rig.sensor.can_read(ranges), ranges, np.nan)
-    more["half_angle"], more["range_sigma"] = rig.of_beams(beams)
-    more |= {"linearity": rig.sensor.linearity, "aiming_sigma": rig.aiming_sigma}
-    more["known"] = () if rig.survey is None else rig.survey.known
-    return Survey(stations, ranges=ranges, beam_names=beams, **more)
+    half_angle, range_sigma = rig.of_beams(beams)
+    return Survey(
+        stations,
+        shots=shots,
+        ranges=ranges,
+        beam_names=beams,
+        known=() if rig.survey is None else rig.survey.known,
+        aiming_sigma=rig.aiming_sigma,
+        half_angle=half_angle,
+        range_sigma=range_sigma,
+        linearity=rig.sensor.linearity,
+    )
 
 
-def _of_log(path: Path, rig: Rig) -> _LogStations:
+def _of_log(path: Path, rig: Rig) -> tuple[SurveyStations, FloatArray, LogFormat]:
     """Return the stations of a log, and what single beams read there, if it has columns of ranges.
 
     Readings of one beam that repeat at a station are averaged, and count as one.
+
+    Returns
+    -------
+    stations : SurveyStations
+    numbers : (S, k)
+        The pose of each as the log has it.
+    log : LogFormat
+        How the log is written, with the columns of its poses.
     """
     given = rig.log
     refuse_stated(given, OF_SCATTER, "sensors of many rays", path)
@@ -167,31 +161,25 @@ def _of_log(path: Path, rig: Rig) -> _LogStations:
     with in_file(path):
         log = joined_tables(path, given, rig.sensor, needed=False)
         labels, chosen, warnings = targets_of(log, given)
-        kept = np.flatnonzero(chosen)
-        named = replace(given, pose_columns=log.poses.columns.pose)  # so that advice says them
-        R, t = hand_poses(log.poses.posed, log.way, named)
-        names = tuple(log.names[i] for i in kept.tolist())
-        stations = StationList(R[kept], t[kept], tuple(labels[i] for i in kept.tolist()), names)
+        named = replace(given, pose_columns=log.poses.columns.pose)
+        stations, station = stations_before(log, named, labels, chosen)
     poses, readings = log.poses, log.readings
-    number = np.full(len(log.names) + 1, -1)
-    number[kept] = np.arange(len(kept))
-    station = number[log.station]
-    ranges, _, _, repeated = averaged(readings.ranges, station, len(kept), given.average)
+    ranges, _, _, repeated = averaged(readings.ranges, station, len(stations), given.average)
     lines = how_joined(log, given, repeated)
     if readings.beams:
         lines += (f"{some(readings.beams, 4)} in {UNIT_WORDS[given.range_units]}",)
         warnings = (
             *readings.code_warnings(station >= 0),
             *warnings,
-            *odd_readings(readings.ranges, station, names, given.average),
+            *odd_readings(readings.ranges, station, stations.station_names, given.average),
         )
     of_rows = poses.warnings if readings is poses else (*poses.warnings, *readings.warnings)
-    return _LogStations(
+    found = SurveyStations(
         stations,
-        poses.posed[log.way.row[log.way.start]][kept],
         ranges if readings.beams else None,
         readings.beams,
-        named,
         lines,
         (*of_rows, *log.warnings, *warnings),
     )
+    numbers = poses.posed[log.way.row[log.way.start]][chosen]
+    return found, numbers, named

@@ -19,15 +19,13 @@ from .points_table import COLUMNS
 from .recording_csv import PREFIX, write_columns
 from .rig_toml import write_rig
 from .sensor_tables import SINGLE, SensorTable
-from .writing import write_text
-
-STATIONS_WRITTEN, RIG_WRITTEN, TRUTH_WRITTEN = "stations.csv", "rig.toml", "truth.json"
+from .writing import RIG, STATIONS, TRUTH, write_text
 
 
 def table_names(tables: Sequence[SensorTable]) -> list[str]:
     """Return the names of all files that a survey of these sensors is written to."""
     zones = [_zones(table) for table in tables if table.kind == "array"]
-    return [STATIONS_WRITTEN, *map(_points, tables), *zones, RIG_WRITTEN, TRUTH_WRITTEN]
+    return [STATIONS, *map(_points, tables), *zones, RIG, TRUTH]
 
 
 def write_simulated(
@@ -64,7 +62,7 @@ def write_simulated(
         A file that cannot be written.
     """
     ranges = PREFIX, survey.beam_names, survey.ranges
-    write_columns(folder / STATIONS_WRITTEN, survey.stations, ranges)
+    write_columns(folder / STATIONS, survey.stations, ranges)
     for table, shots in zip(tables, survey.shots, strict=True):
         stops = survey.stations.station_names
         # Decimals of millimetres and degrees below the noise of any sensor.
@@ -74,15 +72,13 @@ def write_simulated(
         )
         if table.kind == "array":
             content = content.with_columns(pl.col("zone").cast(pl.Int64))
-        write_text(folder / _points(table), content.write_csv())
-        if table.kind == "array":
             u = pl.DataFrame(zones[table.name], schema=["x", "y", "z"], orient="row")
-            content = u.with_row_index("zone")
-            write_text(folder / _zones(table), content.write_csv())
+            write_text(folder / _zones(table), u.with_row_index("zone").write_csv())
+        write_text(folder / _points(table), content.write_csv())
     more = "".join(map(_sensor_text, (*tables, *beams)))
     half_angle = float(survey.cones[0]) if len(survey.cones) and not beams else 0.0
-    write_rig(folder / RIG_WRITTEN, noise, sensor, more, half_angle)
-    write_text(folder / TRUTH_WRITTEN, json_text("survey-truth", _truth(truth)))
+    write_rig(folder / RIG, noise, sensor, more, half_angle)
+    write_text(folder / TRUTH, json_text("survey-truth", _truth(truth)))
 
 
 def _points(table: SensorTable) -> str:

@@ -15,6 +15,8 @@ from pathlib import Path
 from ..errors import InputError
 from ..text import shown
 
+RECORDING, STATIONS, RIG, TRUTH = "recording.csv", "stations.csv", "rig.toml", "truth.json"
+"""Files that `simulate` writes to a folder, where `watch` follows the recording and the rig file."""
 BESIDE = ".handlaser-"
 """Beginning of the names of files that are not whole yet."""
 

@@ -249,17 +249,17 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
     covariance[np.ix_(known, known)] = S
     belief = Belief(
         mean,
-        covariance,
-        joint.beam_bases,
-        joint.plane_bases[last],
-        joint.origins[last],
-        replace(calibration.reading_variances, pose=pose),
-        names,
-        covariance,
-        tuple(effects[number].code for number in counted),
-        turned_from,
-        bent_from,
-        tuple(dict.fromkeys(e.code for e in effects if e.code not in OF_STATIONS)),
+        covariance=covariance,
+        beam_bases=joint.beam_bases,
+        plane_bases=joint.plane_bases[last],
+        origins=joint.origins[last],
+        variances=replace(calibration.reading_variances, pose=pose),
+        plane_names=names,
+        spread=covariance,
+        errors=tuple(effects[number].code for number in counted),
+        turned_from=turned_from,
+        bent_from=bent_from,
+        uncounted=tuple(dict.fromkeys(e.code for e in effects if e.code not in OF_STATIONS)),
     )
     recording, sizes = calibration.recording, calibration.errors_by_pose
     if recording is None or sizes is None or names != recording.plane_names:

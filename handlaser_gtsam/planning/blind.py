@@ -264,13 +264,13 @@ class Blind:
         spread = np.tile([*[box] * 3, *[cone] * 2, *k], len(bounds.locations))
         return Belief(
             at,
-            np.diag(np.append(unknown, UNKNOWN_PLANE) ** 2),
-            model.tangent_basis(at.directions),
-            model.tangent_basis(at.normals),
-            plate.point[None],
-            self.variances,
-            ("plate",),
-            np.diag(np.append(np.maximum(spread, ROUNDING), UNKNOWN_PLANE) ** 2),
+            covariance=np.diag(np.append(unknown, UNKNOWN_PLANE) ** 2),
+            beam_bases=model.tangent_basis(at.directions),
+            plane_bases=model.tangent_basis(at.normals),
+            origins=plate.point[None],
+            variances=self.variances,
+            plane_names=("plate",),
+            spread=np.diag(np.append(np.maximum(spread, ROUNDING), UNKNOWN_PLANE) ** 2),
         )
 
     def facing(self) -> FloatArray:

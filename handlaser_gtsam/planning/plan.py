@@ -148,12 +148,12 @@ class Task(NamedTuple):
                 continue
             tried = tried[self.safe(tried)]
             if workspace.robot is not None:
-                tried = tried[np.arange(min(len(tried), count))]
+                tried = tried[:count]
                 asked += len(tried)
             kept.append(tried[reached(workspace, tried, plates)])
             good += len(kept[-1])
         if good >= LEAST_CANDIDATES:
-            return joined(kept)[np.arange(min(count, good))]
+            return joined(kept)[:count]
         if asked >= LEAST_CANDIDATES:
             raise InputError(
                 f"no station before plane {name} that the arm reaches without a collision, of {asked} "
@@ -353,7 +353,7 @@ def _chosen(task: Task, stations: int, rng: np.random.Generator) -> Plan:
             break
         # Those that serve other mounts as well say less at the most probable ones.
         count = min(count + max(1, count // 10), stations)
-    best = best[np.arange(aim.enough(station_rows(belief, best)))]
+    best = best[: aim.enough(station_rows(belief, best))]
     return task.planned(best, without(pool, chosen))
 
 

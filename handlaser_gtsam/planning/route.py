@@ -18,6 +18,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
+from ..quantities import ROUNDING
 from ..validation.simulate import Stations
 from .bounds import Plate
 from .goal import Aim, Forecast
@@ -258,7 +259,8 @@ def divided(stations: Stations, largest_step: float) -> tuple[Stations, IntArray
     """
     R, t = stations.world_R_hand, stations.world_t_hand
     steps = np.diff(t, axis=0, prepend=t[:1])
-    parts = np.maximum(np.ceil(np.linalg.norm(steps, axis=1) / largest_step - 1e-9), 1).astype(int)
+    wanted = np.linalg.norm(steps, axis=1) / largest_step - ROUNDING
+    parts = np.maximum(np.ceil(wanted), 1).astype(int)
     after = np.repeat(np.arange(len(parts)), parts)  # the station at which each step ends
     share = np.concatenate([np.arange(1, count + 1) / count for count in parts])
     before = np.maximum(after - 1, 0)
@@ -345,7 +347,7 @@ def driven(
             routes += [[before, one, home, other, station] for one, other in both]
         for route in routes:
             passed, _ = divided(joined(route), workspace.largest_step)
-            yield passed[np.arange(1, len(passed))]
+            yield passed[1:]
 
     def along(q: FloatArray, before: int, way: Stations, left: Iterator[int]) -> list[FloatArray]:
         """Return joints of a way from joints q before plane `before`; fewer where none is free.
@@ -354,7 +356,7 @@ def driven(
         """
         if not len(way):
             return []
-        plane, rest = int(way.plane[0]), way[np.arange(1, len(way))]
+        plane, rest = int(way.plane[0]), way[1:]
         R, t = way.world_R_hand[0], way.world_t_hand[0]
         solutions = robot.solutions(R, t, plates[plane], q)
         for solved, _ in zip(islice(solutions, TRIED_SOLUTIONS), left, strict=False):
@@ -364,40 +366,40 @@ def driven(
                     return found
         return []
 
-    def drive(first: int, q: FloatArray) -> tuple[list[Stations], list[FloatArray], list[int]]:
-        """Drive to all stations from joints at the `first` one, or from the start before all (-1)."""
-        parts, joints, origin = list[Stations](), list[FloatArray](), list[int]()
-        if first >= 0:
-            parts, joints, origin = [stations[np.array([first])]], [q], [first]
+    def drive(first: int, q: FloatArray) -> list[tuple[Stations, list[FloatArray], int]]:
+        """Drive to all stations from joints at the `first` one, or from the start before all (-1).
+
+        Each leg is a way, the joints along it, and the index of the station at its end.
+        """
+        legs = [(stations[first : first + 1], [q], first)] if first >= 0 else []
         for index in range(first + 1, len(stations)):
-            station = stations[np.array([index])]
-            last = parts[-1][np.array([-1])] if parts else None
-            for way in ways(last, station):
+            last = legs[-1][0][-1:] if legs else None
+            for way in ways(last, stations[index : index + 1]):
                 plane = int((way if last is None else last).plane[0])
                 # Ways between two stations that are tried, before another detour: a second or two.
-                found = along(joints[-1] if joints else q, plane, way, iter(range(100)))
+                found = along(legs[-1][1][-1] if legs else q, plane, way, iter(range(100)))
                 if found:
-                    parts.append(way)
-                    joints += found
-                    origin += [-1] * (len(way) - 1) + [index]
+                    legs.append((way, found, index))
                     break
-        return parts, joints, origin
+        return legs
 
-    parts, joints, origin = list[Stations](), list[FloatArray](), list[int]()
+    legs: list[tuple[Stations, list[FloatArray], int]] = []
     for first, q in _beginnings(robot, stations, plates):
         # From some, the arm is in its own way, or at a limit, soon.
         tried = drive(first, q)
-        if len(tried[0]) <= len(parts):
+        if len(tried) <= len(legs):
             break
-        parts, joints, origin = tried
-        if len(parts) == len(stations):
+        legs = tried
+        if len(legs) == len(stations):
             break
-    if not parts:
+    if not legs:
         raise InputError(
             "no way of the arm without a collision to any station",
             "more room around the plate, a smaller clearance or other start joints",
         )
-    return joined(parts), np.array(origin, dtype=np.intp), np.array(joints)
+    passed, joints, ends = zip(*legs, strict=True)
+    origin = [[-1] * (len(way) - 1) + [end] for way, end in zip(passed, ends, strict=True)]
+    return joined(passed), np.concatenate(origin).astype(np.intp), np.concatenate(joints)
 
 
 def _beginnings(

@@ -314,15 +314,15 @@ def _problem(found: SurveyEstimate) -> ReferenceProblem:
     # standard deviations.
     return ReferenceProblem(
         observed,
-        (survey.stations.world_R_hand, survey.stations.world_t_hand),
-        values,
-        {
+        hands=(survey.stations.world_R_hand, survey.stations.world_t_hand),
+        start=values,
+        sigma={
             SENSOR.name: np.hstack((mounts, np.where(_free(rows), ERRORS_BEFORE, 0.0))),
             BEAM.name: beams,
         },
-        pose if pose.any() else None,
-        float(found.noise.sigma[-1]),
-        known,
+        pose=pose if pose.any() else None,
+        aiming_sigma=float(found.noise.sigma[-1]),
+        known=known,
         beside=0.005,
         stops=rows.stops,
         own=state.own_covariance() if state.sizes.again else None,

@@ -298,21 +298,24 @@ def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: boo
     fall, x = squares.least(own, along_twist)
     alike = np.asarray(np.linalg.lstsq(along_twist, x, rcond=SINGULAR)[0], dtype=float)
     worst, dof, chi2 = int(np.abs(e).argmax()), squares.dof, squares.chi2
-    tested = squares.known and dof > 0
+    noise_p_value = math.nan
+    if squares.known and dof > 0:
+        noise_p_value = float(squares_sf(chi2, dof, np.inf if known else mounts.dof))
+    where = recording.station_names[readings.station[worst]], mounts.names[readings.beam[worst]]
     return HoldOut(
-        len(e),
-        float(np.sqrt(np.mean(e**2))),
-        float(np.abs(e[worst])),
-        chi2 * squares.scale,
-        dof,
-        float(squares_sf(chi2, dof, np.inf if known else mounts.dof)) if tested else math.nan,
-        drift,
-        rank,
-        p_value(drift, rank),
-        tuple(drifts),
-        alike,
-        p_value(drift - (fall - held), rank - min(6, rank)),
-        (recording.station_names[readings.station[worst]], mounts.names[readings.beam[worst]]),
+        readings=len(e),
+        rms=float(np.sqrt(np.mean(e**2))),
+        max_residual=float(np.abs(e[worst])),
+        chi2=chi2 * squares.scale,
+        dof=dof,
+        noise_p_value=noise_p_value,
+        drift=drift,
+        drift_dof=rank,
+        p_value=p_value(drift, rank),
+        beams=tuple(drifts),
+        hand=alike,
+        hand_p_value=p_value(drift - (fall - held), rank - min(6, rank)),
+        max_residual_at=where,
     )
 
 

@@ -18,7 +18,7 @@ from ..data.value import Value
 from ..errors import HandlaserError
 from ..estimation.many_recordings import solve_many
 from ..estimation.options import CalibrationOptions
-from ..model.distributions import gaussian_quantile
+from ..model.distributions import CONFIDENCE, gaussian_quantile
 from ..model.families import BEAM, MOUNT_DIM, RANGE_ERROR
 from ..model.joint import beam_lifts
 from ..pipeline import calibrate
@@ -148,7 +148,7 @@ def run_row(estimate: Estimated | HandlaserError, truth: Parameters) -> dict[str
         "direction_squares": float((np.cross(v, truth.directions) ** 2).sum()),
         "nees": _nees(x[:, :MOUNT_DIM], C[:, :MOUNT_DIM, :MOUNT_DIM]),
         "nees_with_k": _nees(x[:, :modelled], C[:, :modelled, :modelled]),
-        "covered": int((z <= gaussian_quantile(0.975)).sum()),
+        "covered": int((z <= gaussian_quantile(0.5 * (1.0 + CONFIDENCE))).sum()),
         "coordinates": len(z),
         "worst": float(z.max()),
     }

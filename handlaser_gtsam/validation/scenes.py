@@ -12,7 +12,7 @@ with an orientation of its own: no pure translations at all.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -190,5 +190,5 @@ def draw_scene(
     source = rng if redraw else np.random.default_rng(0)
     truth, stations = SCENES[scene](layout or Layout(), source)
     k = truth.range_errors + rng.standard_normal(truth.range_errors.shape) * range_error_sigmas
-    truth = Parameters(truth.locations, truth.directions, k, truth.normals, truth.offsets)
+    truth = replace(truth, range_errors=k)
     return simulate(truth, stations, errors or ERRORS[scene], rng, SENSORS[scene]), truth

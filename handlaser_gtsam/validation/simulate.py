@@ -30,8 +30,8 @@ class Stations:
     def __len__(self) -> int:
         return len(self.plane)
 
-    def __getitem__(self, rows: IntArray | BoolArray) -> "Stations":
-        """Return the stations at some rows, or where a mask holds."""
+    def __getitem__(self, rows: IntArray | BoolArray | slice) -> "Stations":
+        """Return the stations at some rows, of a slice, or where a mask holds."""
         return Stations(self.world_R_hand[rows], self.world_t_hand[rows], self.plane[rows])
 
 
@@ -143,13 +143,13 @@ def predicted_readings(at: Parameters, stations: Stations) -> tuple[Readings, mo
     station, beam = np.divmod(np.arange(beams * len(stations)), beams)
     readings = Readings(
         station,
-        beam,
-        stations.plane[station],
-        np.zeros(len(station)),
-        stations.world_R_hand[station],
-        stations.world_t_hand[station],
-        beams,
-        len(at.offsets),
+        beam=beam,
+        plane=stations.plane[station],
+        distance=np.zeros(len(station)),
+        world_R_hand=stations.world_R_hand[station],
+        world_t_hand=stations.world_t_hand[station],
+        beams=beams,
+        planes=len(at.offsets),
     )
     x = model.scene(at, readings)
     return replace(readings, distance=read_back(model.predicted_ranges(x), x.k)), x

@@ -15,12 +15,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import Recording
 from ...data.screening import FAR_SAMPLE, FINEST_STEP, worth_of_mean
+from ...data.station_list import StationList
 from ...errors import CalibrationWarning, InputError
 from ...model.distributions import SINGLE_LEVEL, student_quantile
 from ...model.sensor_limits import Sensor
@@ -70,20 +72,20 @@ def assembled(
         empty = chosen & np.isnan(mean).all(axis=1) & ~said
         warnings = (*warnings, *_left_out(empty, "have no reading"))
     named = replace(given, pose_columns=poses.columns.pose)  # so that advice says them
-    R, t = hand_poses(poses.posed, log.way, named)
+    stations, _ = stations_before(log, named, planes, chosen)
     both = (poses,) if readings is poses else (poses, readings)
     rows = np.flatnonzero(chosen)
     recording = Recording(
-        R[rows],
-        t[rows],
-        mean[rows],
-        tuple(planes[i] for i in rows.tolist()),
-        readings.beams,
-        tuple(log.names[i] for i in rows.tolist()),
-        tuple(dict.fromkeys(name for one in both for name in one.ignored)),
-        None if samples is None else samples[rows],
-        (*(warning for one in both for warning in one.warnings), *log.warnings, *warnings),
-        min(0.0, sensor.range_min),
+        stations.world_R_hand,
+        world_t_hand=stations.world_t_hand,
+        ranges=mean[rows],
+        plane_labels=stations.plane_labels,
+        beam_names=readings.beams,
+        station_names=stations.station_names,
+        ignored_columns=tuple(dict.fromkeys(name for one in both for name in one.ignored)),
+        samples=None if samples is None else samples[rows],
+        warnings=(*(warning for one in both for warning in one.warnings), *log.warnings, *warnings),
+        range_min=min(0.0, sensor.range_min),
     )
     doubts = held_poses(recording)
     doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, named)
@@ -95,12 +97,12 @@ def assembled(
     first = ", ".join(count(number, noun) for noun, number in sizes.items())
     return LogReport(
         recording,
-        scatter,
-        {name: x for name, x in scatter_of if not math.isnan(x)},
-        log.lag[0],
-        log.lag[1] or None,
-        (first, *how_joined(log, given, repeated, scatter)),
-        tuple(path for path in given.files if path is not None),
+        scatter=scatter,
+        scatter_of={name: x for name, x in scatter_of if not math.isnan(x)},
+        lag=log.lag[0],
+        lag_sigma=log.lag[1] or None,
+        lines=(first, *how_joined(log, given, repeated, scatter)),
+        beside=tuple(path for path in given.files if path is not None),
     )
 
 
@@ -146,6 +148,55 @@ def targets_of(
         found = f"{len(log.names)} stations, and no column of planes"
         raise InputError(found, expected, log.poses.table.path)
     return log.planes, every, ()
+
+
+class SurveyStations(NamedTuple):
+    """Stations before targets, and what single beams read there.
+
+    Attributes
+    ----------
+    stations : StationList
+    ranges : (S, B) or None
+        [m]; NaN where there is no reading, and None where single beams read nothing at all.
+    beams : tuple of str
+    lines : tuple of str
+        How they were read, for a person.
+    warnings : tuple of CalibrationWarning
+    """
+
+    stations: StationList
+    ranges: FloatArray | None
+    beams: tuple[str, ...]
+    lines: tuple[str, ...] = ()
+    warnings: tuple[CalibrationWarning, ...] = ()
+
+
+def stations_before(
+    log: JoinedStations, given: LogFormat, labels: Sequence[str], chosen: BoolArray
+) -> tuple[StationList, IntArray]:
+    """Return the chosen stations (S,) of a log before their targets.
+
+    Parameters
+    ----------
+    log : JoinedStations
+    given : LogFormat
+        With the columns of poses, so that advice says them.
+    labels : sequence of str
+        The target of each station of the log.
+    chosen : mask of these
+
+    Returns
+    -------
+    StationList
+    station : (M,)
+        Which of these each row of readings is of, -1 for none.
+    """
+    R, t = hand_poses(log.poses.posed, log.way, given)
+    kept = np.flatnonzero(chosen)
+    labels, names = (tuple(every[i] for i in kept.tolist()) for every in (labels, log.names))
+    number = np.full(len(log.names) + 1, -1)
+    number[kept] = np.arange(len(kept))
+    return StationList(R[kept], t[kept], labels, names), number[log.station]
 
 
 def with_readings(

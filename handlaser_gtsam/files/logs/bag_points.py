@@ -4,30 +4,37 @@ Of each message only its points stay in memory: 8 bytes a number. Messages durin
 are one shot.
 """
 
-from array import array
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from ...arrays import FloatArray, IntArray
 from ...data.screening import FINEST_STEP
-from ...data.station_list import StationList
-from ...errors import CalibrationWarning, InputError
+from ...errors import InputError
 from ...quantities import LARGEST_LENGTH, MM
 from ...results.messages import warned
 from ...text import shown, some
-from .assembling import averaged, odd_readings, targets_of, with_readings
+from .assembling import (
+    SurveyStations,
+    averaged,
+    odd_readings,
+    stations_before,
+    targets_of,
+    with_readings,
+)
 from .bags import RANGE, SCAN, BeamTopics, Reader, lines_of, read_messages, require_topic
 from .format import LogFormat
 from .joining import by_time
-from .poses import hand_poses
 from .rows import LogRows
+
+if TYPE_CHECKING:
+    from ..sensor_tables import SensorTable
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -36,49 +43,18 @@ SHORT_SCAN = 1e-3
 """In this time [s] a hand at 0.1 m/s moves by 0.1 mm, the usual error of a robot."""
 
 
-class BagPoints(NamedTuple):
-    """What sensors of many rays published at the stops of the hand, or at moments of its way.
-
-    Attributes
-    ----------
-    stations : StationList
-        Those before a target at which any sensor read something.
-    points : list of (station, numbers)
-        Of each sensor the station (n,) and the numbers (n, c) of each point, in metres and radians, as
-        a table of points has them.
-    ranges : (M, B), optional
-        Of single beams, averaged over each station [m]; NaN where there is none.
-    beams : tuple of str
-        Their names.
-    lines : tuple of str
-        How the bag was read, for a person.
-    warnings : tuple of CalibrationWarning
-    """
-
-    stations: StationList
-    points: list[tuple[IntArray, FloatArray]]
-    ranges: FloatArray | None
-    beams: tuple[str, ...]
-    lines: tuple[str, ...]
-    warnings: tuple[CalibrationWarning, ...]
-
-
 class PointTopics:
     """Topics that sensors of many rays publish on, and the points of their messages.
 
     Parameters
     ----------
-    sensors : sequence of (name, kind, topics)
+    sensors : sequence of SensorTable
     """
 
-    def __init__(self, sensors: Sequence[tuple[str, str, tuple[str, ...]]]) -> None:
+    def __init__(self, sensors: "Sequence[SensorTable]") -> None:
         self.sensors = sensors
-        # Of each sensor the times of messages that have points [s], and the points of each (n, c).
-        self.clouds: list[tuple[array[float], list[FloatArray]]] = [
-            (array("d"), []) for _ in sensors
-        ]
-        # Of each sensor which of its topics a message is of.
-        self.topic_of = [array("l") for _ in sensors]
+        # Of each sensor the messages that have points: time [s], which of its topics, points (n, c).
+        self.messages: list[list[tuple[float, int, FloatArray]]] = [[] for _ in sensors]
         self.lasts: dict[str, float] = {}  # how long a scan of each scanner takes [s]
 
     def readers(self, topics: Mapping[str, str]) -> dict[str, Reader]:
@@ -89,27 +65,26 @@ class PointTopics:
         InputError
         """
         found: dict[str, Reader] = {}
-        for sensor, (name, kind, own) in enumerate(self.sensors):
-            if not own or (len(own) > 1 and kind != "array"):
-                stated = f"{len(own)} topics of the sensor {name}, in a bag"
+        for sensor, table in enumerate(self.sensors):
+            count = len(table.topics)
+            if not count or (count > 1 and table.kind != "array"):
+                stated = f"{count} topics of the sensor {table.name}, in a bag"
                 raise InputError(stated, "topics = one; of an array one for each zone")
-            for number, topic in enumerate(own):
-                require_topic(topics, topic, READ_FROM[kind][0])
+            for number, topic in enumerate(table.topics):
+                require_topic(topics, topic, READ_FROM[table.kind][0])
                 _require_once(found, topic)
                 found[topic] = partial(self._add, sensor, number)
         return found
 
     def _add(self, sensor: int, number: int, message: Any, time: float) -> None:
         """Add the points of a message, if it has any, to the points of its sensor."""
-        name, kind, _ = self.sensors[sensor]
-        rows = READ_FROM[kind][1](message, number)
-        if kind == "scanner":
+        table = self.sensors[sensor]
+        rows = READ_FROM[table.kind][1](message, number)
+        if table.kind == "scanner":
             one = abs(message.time_increment) * len(message.ranges)
-            self.lasts[name] = max(self.lasts.get(name, 0.0), one)
+            self.lasts[table.name] = max(self.lasts.get(table.name, 0.0), one)
         if len(rows):
-            self.clouds[sensor][0].append(time)
-            self.clouds[sensor][1].append(rows)
-            self.topic_of[sensor].append(number)
+            self.messages[sensor].append((time, number, rows))
 
     def rows(self, path: Path) -> LogRows:
         """Return the median reading of each message, which tells whether it moves, sensor after sensor.
@@ -121,35 +96,33 @@ class PointTopics:
         InputError
             No point of a sensor.
         """
-        for (name, _, own), (_, numbers) in zip(self.sensors, self.clouds, strict=True):
-            if not numbers:
-                found = f"no point of {name} within the limits of its messages"
-                raise InputError(found, f"at least one, on {some(own, 4)}")
-        times = np.concatenate([np.frombuffer(own) for own, _ in self.clouds])
-        names, read = tuple(name for name, *_ in self.sensors), []
-        for (_, numbers), topics in zip(self.clouds, self.topic_of, strict=True):
-            often = Counter(topics).most_common(1)[0][0]
-            read += [
-                np.median(rows[:, -1]) if topic == often else np.nan
-                for rows, topic in zip(numbers, topics, strict=True)
-            ]
-        whose = np.repeat(np.arange(len(names)), list(map(len, self.topic_of)))
+        for table, own in zip(self.sensors, self.messages, strict=True):
+            if not own:
+                found = f"no point of {table.name} within the limits of its messages"
+                raise InputError(found, f"at least one, on {some(table.topics, 4)}")
+        times = np.array([time for own in self.messages for time, *_ in own])
+        names, read = tuple(table.name for table in self.sensors), []
+        for own in self.messages:
+            often = Counter(topic for _, topic, _ in own).most_common(1)[0][0]
+            read += [np.median(rows[:, -1]) if topic == often else np.nan for _, topic, rows in own]
+        whose = np.repeat(np.arange(len(names)), list(map(len, self.messages)))
         d = np.where(whose[:, None] == np.arange(len(names)), np.array(read)[:, None], np.nan)
         return LogRows(lines_of(path, len(times)), names, d, times=times)
 
     def points(self, station: IntArray) -> list[tuple[IntArray, FloatArray]]:
         """Return the station and the numbers of each point, by the station of each message or -1."""
         found = []
-        ends = np.cumsum([len(own) for own, _ in self.clouds])[:-1]
-        for (_, numbers), where in zip(self.clouds, np.split(station, ends), strict=True):
-            at = np.repeat(where, [len(rows) for rows in numbers])
+        ends = np.cumsum(list(map(len, self.messages)))[:-1]
+        for own, where in zip(self.messages, np.split(station, ends), strict=True):
+            numbers = [rows for *_, rows in own]
+            at = np.repeat(where, list(map(len, numbers)))
             found.append((at[at >= 0].astype(np.intp), np.concatenate(numbers)[at >= 0]))
         return found
 
 
 def read_bag_points(
-    path: Path, given: LogFormat, sensors: Sequence[tuple[str, str, tuple[str, ...]]]
-) -> BagPoints:
+    path: Path, given: LogFormat, sensors: "Sequence[SensorTable]"
+) -> tuple[SurveyStations, list[tuple[IntArray, FloatArray]]]:
     """Return the stops of the hand, and what each sensor, and each stated beam, read there.
 
     Parameters
@@ -157,7 +130,15 @@ def read_bag_points(
     path : Path
     given : LogFormat
         Where poses are, how stations get their targets, and topics of single beams.
-    sensors : sequence of (name, kind, topics)
+    sensors : sequence of SensorTable
+
+    Returns
+    -------
+    stations : SurveyStations
+        Those before a target at which any sensor read something.
+    points : list of (station, numbers)
+        Of each sensor the station (n,) and the numbers (n, c) of each point, in metres and radians, as
+        a table of points has them.
 
     Raises
     ------
@@ -186,13 +167,8 @@ def read_bag_points(
     labels, chosen, warnings = targets_of(log, given)
     seen = np.isin(np.arange(len(log.names)), log.station)
     chosen, unread = with_readings(chosen, seen, path)
-    warnings, kept = (*warnings, *unread), np.flatnonzero(chosen)
-    number = np.full(len(log.names) + 1, -1)
-    number[kept] = np.arange(len(kept))
-    station = number[log.station]
-    R, t = hand_poses(poses.posed, log.way, given)
-    names = tuple(log.names[i] for i in kept.tolist())
-    stations = StationList(R[kept], t[kept], tuple(labels[i] for i in kept.tolist()), names)
+    warnings = (*warnings, *unread)
+    stations, station = stations_before(log, given, labels, chosen)
     if given.interpolate:
         skewed = {name: time for name, time in points.lasts.items() if time > SHORT_SCAN}
         warnings += tuple(
@@ -202,19 +178,20 @@ def read_bag_points(
     ranges = None
     if single is not None:
         own = readings.ranges[:, len(sensors) :]
-        ranges = averaged(own, station, len(kept), given.average)[0]
-        warnings = (*warnings, *odd_readings(own, station, names, given.average), *single.warnings)
+        ranges = averaged(own, station, len(stations), given.average)[0]
+        odd = odd_readings(own, station, stations.station_names, given.average)
+        warnings = (*warnings, *odd, *single.warnings)
     of_message = np.empty(len(station), dtype=np.intp)
     of_message[order] = station
     late = f"readings are taken to be stamped {given.lag_s:g} s later than poses"
-    return BagPoints(
+    found = SurveyStations(
         stations,
-        points.points(of_message[: len(messages.ranges)]),
         ranges,
         () if single is None else single.beams,
         (poses.words, log.words, *((late,) if given.lag_s else ())),
         (*poses.warnings, *log.warnings, *warnings),
     )
+    return found, points.points(of_message[: len(messages.ranges)])
 
 
 def _in_time(messages: LogRows, single: LogRows | None) -> tuple[LogRows, IntArray]:

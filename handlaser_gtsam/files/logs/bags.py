@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from ...arrays import FloatArray
 from ...checks import imported
 from ...errors import HandlaserError, InputError
-from ...model.conventions import LENGTHS
+from ...model.conventions import LENGTHS, TIME_UNITS
 from ...progress import tell
 from ...quantities import IN_DEG, LARGEST_LENGTH, ROWS_AT_ONCE
 from ...results.messages import warned
@@ -201,7 +201,7 @@ def read_messages(
         readers = readers_of(topics)
         poses = _pose_topics(topics, given)
         frames = Frames(*given.frames) if given.frames else None
-        stamped = array("d")
+        stamped, nanosecond = array("d"), TIME_UNITS["ns"]
         wanted = list(dict.fromkeys([*poses, *readers]))
         wanted.sort(key=lambda topic: not topic.endswith(STATIC))
         by_topic = path.suffix.lower() == ROS1
@@ -213,7 +213,9 @@ def read_messages(
                 has_stamp = not given.receive_time and bool(at.sec or at.nanosec)
                 if not static:
                     with_stamp[has_stamp].add(topic)
-                time = float(at.sec + 1e-9 * at.nanosec) if has_stamp else 1e-9 * received
+                time = (
+                    float(at.sec + nanosecond * at.nanosec) if has_stamp else nanosecond * received
+                )
                 if topic not in poses:
                     readers[topic](one, time)
                 elif frames is None:

@@ -15,12 +15,12 @@ from ...model.conventions import (
     plain,
 )
 from ...text import A_NAME, name_fault, shown, some
+from ..recording_csv import PREFIX
 from ..table import FileTable
 from .format import LogFormat
 from .format_checks import convention_of
 
 TIMES = ("time", "timestamp", "stamp", "t", "time_s")
-RANGE = "range_"
 
 
 class Columns(NamedTuple):
@@ -61,7 +61,7 @@ def unit_of(name: str) -> str:
 
 def names_ranges(given: LogFormat, names: Sequence[str] = ()) -> bool:
     """Tell whether columns of ranges are stated, or are among some names as range_NAME."""
-    usual = any(name.lower().startswith(RANGE) for name in names)
+    usual = any(name.lower().startswith(PREFIX) for name in names)
     return usual or bool(given.range_columns or given.beam_column)
 
 
@@ -83,13 +83,13 @@ def columns_of(
     elsewhere = given.plane_column not in ("", *names) and not (poses and readings)
     found = Columns(
         pose,
-        _beam_columns(table, given) if readings and not given.beam_column else {},
-        given.beam_column if readings else "",
-        given.range_column if readings else "",
+        beams=_beam_columns(table, given) if readings and not given.beam_column else {},
+        beam=given.beam_column if readings else "",
+        range=given.range_column if readings else "",
         # Of two files, either may have the column that is stated.
-        "" if elsewhere else _named(table, given, ("plane",), "plane_column"),
-        _named(table, given, ("station",), f"{second}station_column", "station_column"),
-        ""
+        plane="" if elsewhere else _named(table, given, ("plane",), "plane_column"),
+        station=_named(table, given, ("station",), f"{second}station_column", "station_column"),
+        time=""
         if set(pose) & set(_alike(names, TIMES))
         else _named(table, given, TIMES, f"{second}time_column", "time_column"),
     )
@@ -195,11 +195,11 @@ def _beam_columns(table: FileTable, given: LogFormat) -> dict[str, str]:
     for text in given.range_columns:  # BEAM=COLUMN or COLUMN
         beam, equals, column = map(str.strip, text.partition("="))
         if not equals or text in table.frame.columns:
-            beam, column = UNIT_IN_NAME.sub("", text.strip()).removeprefix(RANGE), text
+            beam, column = UNIT_IN_NAME.sub("", text.strip()).removeprefix(PREFIX), text
         pairs.append((beam, column))
     if not pairs:
-        columns = [name for name in table.frame.columns if name.lower().startswith(RANGE)]
-        pairs = [(UNIT_IN_NAME.sub("", name[len(RANGE) :]), name) for name in columns]
+        columns = [name for name in table.frame.columns if name.lower().startswith(PREFIX)]
+        pairs = [(UNIT_IN_NAME.sub("", name[len(PREFIX) :]), name) for name in columns]
     for beam, column in pairs:
         _require(table, column, "range_columns")
         fault = name_fault(beam) or (f"beam {beam!r} twice" if beam in found else "")

@@ -152,14 +152,14 @@ def by_station(poses: LogRows, readings: LogRows) -> JoinedStations:
         planes = [of_station[index] for index in range(len(names))]
     return JoinedStations(
         poses,
-        readings,
-        Way.of_groups(np.arange(len(names))),
-        names,
-        planes,
-        poses.times,
-        station,
-        _unmatched(station >= 0, "have a station without a pose"),
-        f"{len(names)} poses and {len(station)} rows of readings, joined by station",
+        readings=readings,
+        way=Way.of_groups(np.arange(len(names))),
+        names=names,
+        planes=planes,
+        times=poses.times,
+        station=station,
+        warnings=_unmatched(station >= 0, "have a station without a pose"),
+        words=f"{len(names)} poses and {len(station)} rows of readings, joined by station",
     )
 
 

@@ -41,7 +41,6 @@ from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
@@ -422,7 +421,8 @@ def candidate_offsets(track: Track, time: FloatArray, d: FloatArray) -> list[flo
 
     Times (N,) increase. There is none where the hand or the readings rest all the time.
     """
-    from scipy.signal import find_peaks  # takes half a second to import, and few logs need it
+    # Takes half a second to import, and few logs need it.
+    from scipy.signal import correlate, correlation_lags, find_peaks
 
     spans = track.time[-1] - track.time[0], time[-1] - time[0]
     if min(spans) <= 0.0:
@@ -430,29 +430,24 @@ def candidate_offsets(track: Track, time: FloatArray, d: FloatArray) -> list[flo
     step = max(STEP, 4.0 * sum(spans) / NUMBERS_AT_ONCE)  # longer ones, for the memory they need
     w = _velocities(track, step)
     y = _rates(time, d, step)
-    n = next_fast_len(len(w) + len(y) - 1, real=True)
-    shift = np.arange(n)
-    shift = np.where(shift < len(y), shift, shift - n)
+    shift = correlation_lags(len(y), len(w))
     overlap = np.minimum(len(w) + shift, len(y)) - np.maximum(shift, 0)
     # Offsets at which a smaller part of the shorter recording lies within the other count less.
     share = np.maximum(overlap / min(len(w), len(y)), 0.3)
-    forms = [np.conj(rfft(column, n)) for column in w.T]
     # A hand that does not turn, or moves in one plane, leaves directions without a velocity.
     inverse = np.linalg.pinv(w.T @ w, rcond=1e-3, hermitian=True)
-    explained = np.zeros(n)
+    explained = np.zeros(len(shift))
     for column in y.T:
-        own = rfft(column, n)
-        b = np.stack([irfft(own * form, n) for form in forms])
+        b = np.stack([correlate(column, speed, method="fft") for speed in w.T])
         explained += np.einsum("in,in->n", b, inverse @ b)
-    moves = [_activity(one) for one in (w, y)]
-    together = irfft(rfft(moves[1], n) * np.conj(rfft(moves[0], n)), n)
-    order, found = np.argsort(shift), []
+    together = correlate(_activity(y), _activity(w), method="fft")
+    found = []
     # Where less overlaps, both what a motion explains and what chance does are less.
-    for height in ((explained / share)[order], (together / np.sqrt(share))[order]):
+    for height in (explained / share, together / np.sqrt(share)):
         peaks = find_peaks(height)[0]
         # Most candidates of either kind: a motion that repeats has several.
         best = peaks[np.argsort(-height[peaks], kind="stable")[:6]]
-        found.append([float(time[0] - track.time[0] + step * i) for i in shift[order][best]])
+        found.append([float(time[0] - track.time[0] + step * i) for i in shift[best]])
     return [one for pair in zip_longest(*found) for one in pair if one is not None]
 
 

@@ -19,7 +19,7 @@ from ...errors import InputError
 from ...model.conventions import Convention, inverted, poses_of
 from ...model.distributions import chi2_quantile
 from ...model.geometry import nearest_rotation
-from ...quantities import FAR_SIGMAS, MM, ROWS_AT_ONCE, TINY
+from ...quantities import FAR_SIGMAS, MM, ROUNDING, ROWS_AT_ONCE, TINY
 from .format import LogFormat
 
 MOVES_M, MOVES_RAD = 1e-3, np.radians(0.1)
@@ -217,7 +217,7 @@ def find_stands(track: Track, given: LogFormat) -> tuple[IntArray, IntArray, str
     ends = [_trimmed(track, means, run, half) for run in runs]
     begin, end = np.array(ends, dtype=np.intp).reshape(-1, 2).T
     # Runs that are cut to where they do not creep, and those of which too little is left.
-    kept = track.time[end] - track.time[begin] >= given.stand_s - 2.0 * half - 1e-9
+    kept = track.time[end] - track.time[begin] >= given.stand_s - 2.0 * half - ROUNDING
     trimmed, dropped = int(((begin != first) | (end != last))[kept].sum()), int((~kept).sum())
     if not kept.any():
         short = f"; {dropped} shorter stops were found" if dropped else ""

@@ -21,13 +21,11 @@ from ...model.conventions import (
     poses_of,
 )
 from ...quantities import ROUNDING
-from ..recording_csv import QUATERNION_TOLERANCE, off_unit
+from ..recording_csv import ROTATION_TOLERANCE, off_unit
 from .format import LogFormat
 from .format_checks import convention_of
 from .motion import Way
 
-MATRIX_TOLERANCE = QUATERNION_TOLERANCE
-"""And so may every entry of R'R; the nearest rotation is taken."""
 FARTHEST = 30.0
 """A position beyond this [m] is in millimetres, not in metres: no arm is so long."""
 NEAREST = 5.0
@@ -68,7 +66,7 @@ def _faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
     elif not convention.has_angles:
         length, wrong = off_unit(x[:, 3:])
         found = f"a quaternion of length {length[wrong.argmax()]:.6g}"
-        expected = f"length 1 within {QUATERNION_TOLERANCE:g}; are these angles, or other columns?"
+        expected = f"length 1 within {ROTATION_TOLERANCE:g}; are these angles, or other columns?"
         yield Fault(wrong, slice(3, 7), found, expected)
     elif convention.angles == "rad":
         a = np.abs(x[:, 3:])
@@ -98,11 +96,11 @@ def _matrix_faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
     yield Fault(wrong, every, f"a matrix whose last row is {row}", expected)
     R = np.clip(T[:, :3, :3], -2.0, 2.0)
     off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
-    wrong, expected = ~(off <= MATRIX_TOLERANCE), "a rotation, of right-handed frames"
+    wrong, expected = ~(off <= ROTATION_TOLERANCE), "a rotation, of right-handed frames"
     found = "a matrix with the determinant -1, of a left-handed frame"
     yield Fault((np.linalg.det(R) < 0.0) & ~wrong, every, found, expected)
     found = f"R'R differs from the identity by {off[wrong.argmax()]:.2g}"
-    expected = f"a rotation to {MATRIX_TOLERANCE:g}, {ROWS[convention.rotation]}; if {instead}"
+    expected = f"a rotation to {ROTATION_TOLERANCE:g}, {ROWS[convention.rotation]}; if {instead}"
     yield Fault(wrong, every, f"a matrix that is no rotation ({found})", expected)
 
 

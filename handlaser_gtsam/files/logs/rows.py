@@ -228,5 +228,5 @@ def _times(table: FileTable, column: str, given: LogFormat) -> FloatArray:
             except pl.exceptions.PolarsError:
                 continue
             if not dates.is_null().any():
-                return np.asarray(dates.to_physical().to_numpy() * 1e-9)
+                return np.asarray(dates.to_physical().to_numpy() * TIME_UNITS["ns"])
     return np.asarray(TIME_UNITS[given.time_units] * column_numbers(table, column))

@@ -160,7 +160,7 @@ def _accused(
     carried = np.column_stack((np.ones(count), 1.0 + np.arange(count) / count))
     carrier = stations.recording(carried)
     # Along what a motion leaves open, a start from poses that are right may be far.
-    now = _misfit(rows, 1.0, np.inf) / variance if variance else np.inf
+    now = _misfit(rows, reach=np.inf) / variance if variance else np.inf
     if now <= FITS:
         return ()
 
@@ -178,7 +178,7 @@ def _accused(
             continue
         # What is stated gets all that may lead to a start before it is refused.
         if variance:
-            now = min(now, _misfit(rows, 1.0, np.inf, last_resort=True) / variance)
+            now = min(now, _misfit(rows, reach=np.inf, last_resort=True) / variance)
         if now > FITS and best <= now / better:
             # Of several ways those are named whose misfit is within this factor of the least.
             words = " or ".join(words for value, words in found if value <= 4.0 * best)
@@ -249,7 +249,7 @@ def _misfit_of(survey: Survey, shots: Shots) -> float:
     """Return the misfit of shots in parts of their variance, never zero; infinite of too few."""
     rows = _part(survey, shots)
     variance = _variance(rows)
-    return max(_misfit(rows, 1.0) / variance, TINY) if variance else np.inf
+    return max(_misfit(rows) / variance, TINY) if variance else np.inf
 
 
 def _variance(rows: SurveyRows) -> float:
@@ -277,7 +277,7 @@ def _part(survey: Survey, one: Shots) -> SurveyRows:
 
 
 def _misfit(
-    rows: SurveyRows, scale: float, reach: float = FAR_BEAM, *, last_resort: bool = False
+    rows: SurveyRows, scale: float = 1.0, reach: float = FAR_BEAM, *, last_resort: bool = False
 ) -> float:
     """Return the squared residual below which `GOOD` of the readings are, as if it were Gaussian [m^2].
 

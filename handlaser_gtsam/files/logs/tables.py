@@ -26,6 +26,7 @@ import polars as pl
 
 from ...checks import imported
 from ...errors import CalibrationWarning, InputError
+from ...model.conventions import TIME_UNITS
 from ...results.messages import Values, warned
 from ...text import count, shown, some
 from ..checked_text import in_file, json_value
@@ -200,13 +201,7 @@ def _foreign(path: Path, given: LogFormat) -> FileTable:
                 table = replace(table, header_line=header, lines=lines, warnings=warnings)
                 return _with_points(table, given, numbers_have_points=True)
             if suffix in PARQUET:
-                # Equal values are packed so well that the size of the file says nothing.
-                lazy = pl.scan_parquet(path)
-                height, width = lazy.select(pl.len()).collect().item(), len(lazy.collect_schema())
-                if height * width > MOST_CELLS:
-                    found = f"{height} rows of {width} columns"
-                    raise InputError(found, f"at most {MOST_CELLS} cells")
-                return table_of_values(lazy.collect(), path)
+                return table_of_parquet(path)
             text = table_text(path)
             if not text.strip():
                 raise InputError("an empty file", "an object a line")
@@ -269,6 +264,21 @@ def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name}, which JSON has not; null is no reading")
 
 
+def table_of_parquet(path: Path) -> FileTable:
+    """Return the table of a Parquet file; what Polars says against it is raised as it is.
+
+    Raises
+    ------
+    InputError
+        Too many cells: equal values are packed so well that the size of the file says nothing.
+    """
+    lazy = pl.scan_parquet(path)
+    height, width = lazy.select(pl.len()).collect().item(), len(lazy.collect_schema())
+    if height * width > MOST_CELLS:
+        raise InputError(f"{height} rows of {width} columns", f"at most {MOST_CELLS} cells")
+    return table_of_values(lazy.collect(), path)
+
+
 def table_of_values(frame: pl.DataFrame, path: Path) -> FileTable:
     """Return a frame as a table of numbers and texts: arrays and structures become columns."""
     flat = [one for column in frame.get_columns() for one in _flat(column)]
@@ -299,9 +309,9 @@ def _flat(column: pl.Series) -> list[pl.Series]:
     if kind.is_numeric():
         return [column]
     if isinstance(kind, (pl.Datetime, pl.Date)):
-        return [column.cast(pl.Datetime("ns")).to_physical().cast(pl.Float64) * 1e-9]
+        return [column.cast(pl.Datetime("ns")).to_physical().cast(pl.Float64) * TIME_UNITS["ns"]]
     if isinstance(kind, pl.Duration):
-        return [column.dt.total_nanoseconds().cast(pl.Float64) * 1e-9]
+        return [column.dt.total_nanoseconds().cast(pl.Float64) * TIME_UNITS["ns"]]
     text = column.cast(pl.String, strict=False).str.strip_chars(" \t")
     return [text.replace("", None)]
 

@@ -120,11 +120,11 @@ def _drawn(rows: ReadingRows) -> IntArray:
     return used[np.union1d(largest, evenly(len(used), half))]
 
 
-def _band(across: str, low: float, high: float) -> Record:
-    """Return a grey band that goes all `across` the figure, along x or y, between two edges."""
+def _band(across: str, low: float, high: float, style: str = "band") -> Record:
+    """Return a grey band, or a line, that goes all `across` the figure, along x or y, between edges."""
     along = "y" if across == "x" else "x"
     ends: Record = {f"{across}ref": "paper", f"{across}0": 0, f"{across}1": 1}
-    return STYLE["band"] | ends | {f"{along}0": low, f"{along}1": high}
+    return STYLE[style] | ends | {f"{along}0": low, f"{along}1": high}
 
 
 def qq_figure(subject: Subject) -> Figure | None:
@@ -172,10 +172,7 @@ def correlation_figure(
     side = axis("beam", type="category", tickvals=middles, ticktext=ticks, ticks="")
     side |= STYLE["names"]
     borders = [  # between the beams
-        STYLE["border"] | {f"{across}ref": "paper", f"{across}0": 0, f"{across}1": 1} | edge
-        for at_row in first[1:]
-        for across, along in ("xy", "yx")
-        for edge in [{f"{along}0": at_row - 0.5, f"{along}1": at_row - 0.5}]
+        _band(across, edge - 0.5, edge - 0.5, "border") for edge in first[1:] for across in "xy"
     ]
     upright = side | {"autorange": "reversed", "tickangle": -90}
     square: Record = {"height": 420, "xaxis": side, "yaxis": upright, "shapes": borders}

@@ -63,9 +63,9 @@ def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
         for target in result.targets.values():
             mine, v = labels[station] == target.label, target.values
             if target.kind == "plane":
-                off[mine] = place[mine] @ [v["nx"], v["ny"], v["nz"]] + v["b"]
+                off[mine] = place[mine] @ _vector(target) + v["b"]
             else:
-                far = np.linalg.norm(place[mine] - [v["x"], v["y"], v["z"]], axis=1)
+                far = np.linalg.norm(place[mine] - _vector(target), axis=1)
                 off[mine] = far - v.get("radius", 0.0)
         good = good & np.isfinite(off)
         return Seen(called, sigma, station, hand, source, place, along, off, good)
@@ -101,23 +101,26 @@ def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
 
 def world_figure(result: SurveyCalibration, survey: Survey, seen: Sequence[Seen]) -> Figure:
     """Return the picture in space: targets, hands, and where each sensor looked; of used shots."""
-    planes = {
-        target.label: np.array([target.values[axis] for axis in ("nx", "ny", "nz")])
-        for target in result.targets.values()
-        if target.kind == "plane"
-    }
+    every = result.targets.values()
+    planes = {target.label: _vector(target) for target in every if target.kind == "plane"}
     drawn = scene_figure(in_world(survey.stations, planes, seen))
-    balls = [_rings(target) for target in result.targets.values() if target.kind == "sphere"]
+    balls = [_rings(target) for target in every if target.kind == "sphere"]
     return drawn._replace(data=[*balls, *drawn.data])
+
+
+def _vector(target: SurveyTarget) -> FloatArray:
+    """Return the normal of a plane, or the centre of a sphere or point [m], (3,)."""
+    names = ("nx", "ny", "nz") if target.kind == "plane" else ("x", "y", "z")
+    return np.array([target.values[name] for name in names])
 
 
 def _rings(ball: SurveyTarget) -> Record:
     """Return three circles of a sphere as one line."""
-    a, v, name = np.linspace(0.0, 2.0 * np.pi, 49), ball.values, label(ball.label)
+    a, name = np.linspace(0.0, 2.0 * np.pi, 49), label(ball.label)
     flat = np.stack((np.cos(a), np.sin(a), np.zeros_like(a)), axis=1)
     gap = np.full((1, 3), np.nan)
     rings = [np.concatenate((np.roll(flat, turn, axis=1), gap)) for turn in range(3)]
-    points = np.array([v["x"], v["y"], v["z"]]) + v["radius"] * np.concatenate(rings)
+    points = _vector(ball) + ball.values["radius"] * np.concatenate(rings)
     words = f"{name}<extra></extra>".replace("%{", "% {")
     return STYLE["rings"] | xyz(points * IN_MM) | {"name": name, "hovertemplate": words}
 
@@ -217,11 +220,10 @@ def on_targets(
         if len(off) < 3:  # the two of a groove have labels of their own
             continue
         # Along the normal of a plane, or the mean line of sight.
-        v, centre = target.values, place.mean(axis=0)
         if target.kind == "plane":
-            towards = np.array([v["nx"], v["ny"], v["nz"]])
+            centre, towards = place.mean(axis=0), _vector(target)
         else:
-            centre = np.array([v["x"], v["y"], v["z"]])
+            centre = _vector(target)
             towards = (place - centre).mean(axis=0)
         towards = towards / max(float(np.linalg.norm(towards)), TINY)
         some = evenly(len(off), 2 * MOST_POINTS)

@@ -127,11 +127,6 @@ class PageServer:
             host = socket.gethostname()
         return f"http://{spelt(host)}:{port}/"
 
-    @property
-    def loopback(self) -> bool:
-        """Whether only this computer reaches the page."""
-        return is_loopback(self._bound)
-
     def publish(self, messages: Mapping[str, str]) -> None:
         """Send messages by topic, each one line, to all who look on; from any thread.
 

@@ -17,10 +17,8 @@ from ..logs.bags import BAGS, METADATA
 from ..logs.format import LogReport
 from ..logs.tables import BOOKS
 from ..rig_toml import Rig
-from ..writing import path_of, readable
+from ..writing import RECORDING, RIG, path_of, readable
 
-RECORDING, RIG = "recording.csv", "rig.toml"
-"""What is followed in a folder."""
 LARGEST_FILE = 200_000_000
 """Bytes of a followed file at most: a larger one is no recording, or nothing for a page."""
 Fingerprint = tuple[tuple[int, ...], ...]
