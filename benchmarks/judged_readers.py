@@ -119,7 +119,7 @@ def _same_result(plain: PlainResult, found: hl.Mounts) -> None:
     _same_numbers("locations", plain.locations, found.locations)
     _same_numbers("directions", plain.directions, found.directions)
     _same_numbers("range errors", plain.range_errors, found.range_errors)
-    _same("range sigma", plain.range_sigma, found.range_sigma)
+    _same_numbers("range sigmas", plain.range_sigma, found.range_sigma)
     if not (np.abs(np.linalg.norm(plain.directions, axis=1) - 1.0).max() < 1e-5):
         raise WrongError("a direction that is no unit vector")
     _same_covariance(plain.covariance, found.covariance)

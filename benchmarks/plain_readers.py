@@ -201,7 +201,7 @@ class PlainResult:
     range_errors: NDArray[np.float64]
     terms: tuple[int, ...]
     covariance: NDArray[np.float64]
-    range_sigma: float
+    range_sigma: NDArray[np.float64]
     pose_covariance: NDArray[np.float64] | None
 
 
@@ -226,6 +226,8 @@ def plain_result(data: bytes) -> PlainResult:
         raise UnclearError("no names")
     errors = [_get(beam, "range_error") for beam in beams]
     pose = fit.get("pose_covariance") if isinstance(fit, dict) else None
+    common = _real(_get(fit, "range_sigma_m"))
+    own = [beam.get("range_sigma_m") if isinstance(beam, dict) else None for beam in beams]
     return PlainResult(
         tuple(str(name) for name in names),
         np.array([_vector(_get(beam, "location_m")) for beam in beams]),
@@ -233,7 +235,7 @@ def plain_result(data: bytes) -> PlainResult:
         np.array([[_real(_get(k, "k1")), _real(_get(k, "k2_per_m"))] for k in errors]),
         tuple(int(_real(_get(beam, "range_error_terms"))) for beam in beams),
         _square(_get(record, "beam_covariance"), 8 * len(beams)),
-        _real(_get(fit, "range_sigma_m")),
+        np.array([common if one is None else _real(one) for one in own]),
         None if pose is None else _square(pose, 6),
     )
 

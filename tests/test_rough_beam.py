@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.validation.quick_validation import held_out
 from handlaser_gtsam.validation.scenes import SCENES, Errors, Layout, simulate
 
 USUAL, SHIFT, TURN = 2e-5, 5e-5, np.radians(5e-3)
@@ -127,3 +128,21 @@ def test_planes_are_added_with_one_sigma_of_all_beams():
     session.add(recording)
     assert session.options.range_sigma_by_beam is False
     assert not rough_beams(session.calibration())
+
+
+def test_what_is_held_out_is_judged_by_the_sigma_of_each_beam(tmp_path):
+    """With one sigma for all, its own planes contradicted a calibration, by 1e-9."""
+    recording, _ = recorded(4, Layout(beams=4, planes=4, stations=12), rough=1)
+    found = hl.validate(recording, splits=1)
+    assert found.calibration.verdict.code == "usable-with-care"
+    assert not found.contradicted
+    assert not held_out(found.calibration).contradicted
+    path = tmp_path / "calibration.json"
+    hl.write_calibration(path, found.calibration)
+    mounts = hl.read_mounts(path)
+    np.testing.assert_allclose(mounts.range_sigma, hl.Mounts.of(found.calibration).range_sigma)
+    assert mounts.range_sigma[1] > 5.0 * mounts.range_sigma[0]
+    other, _ = recorded(4, Layout(beams=4, planes=4, stations=12), rough=1)
+    part = other.part(np.arange(0, 48, 2))
+    assert hl.hold_out(mounts, part).holds
+    assert mounts.arranged(("2",)).range_sigma == mounts.range_sigma[1]

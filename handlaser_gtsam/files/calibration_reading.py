@@ -67,6 +67,7 @@ class BeamRecord(ObjectRecord):
     direction: Vector
     range_error: RangeErrorRecord
     range_error_terms: Terms
+    range_sigma_m: float | None = None
     sigma: ObjectRecord | None = None
     interval_95: ObjectRecord | None = None
     spot: ObjectRecord | None = None
@@ -257,7 +258,12 @@ def mounts_of(file: CalibrationFile) -> Mounts:
         range_errors=np.array([(beam.range_error.k1, beam.range_error.k2_per_m) for beam in beams]),
         terms=tuple(beam.range_error_terms for beam in beams),
         covariance=square_matrix(rows, BEAM.size * len(beams), "beam_covariance"),
-        range_sigma=file.fit.range_sigma_m,
+        range_sigma=np.array(
+            [
+                file.fit.range_sigma_m if beam.range_sigma_m is None else beam.range_sigma_m
+                for beam in beams
+            ]
+        ),
         pose_covariance=None if pose is None else square_matrix(pose, 6, "fit.pose_covariance"),
         dof=math.inf if file.fit.range_sigma_given else float(max(file.fit.dof, 1)),
     )

@@ -63,7 +63,12 @@ def _of_beams(calibration: Calibration, reading: float) -> Record:
     seen, learned = calibration.observability, calibration.learned
     scales = None if learned is None else learned.range_error_sigma
     return {
-        "beams": [_beam(beam, calibration, reading) for beam in calibration.beams.values()],
+        "beams": [
+            _beam(beam, sigma, calibration, reading)
+            for beam, sigma in zip(
+                calibration.beams.values(), calibration.reading_variances.range_sigma, strict=True
+            )
+        ],
         "beam_covariance": None if joint is None else joint.matrix(planes=[]),
         "planes": [
             record(
@@ -248,7 +253,7 @@ def write_truth(path: Path | str, truth: Parameters, recording: Recording) -> No
     write_text(path_of(path), json_text("truth", content))
 
 
-def _beam(beam: Beam, calibration: Calibration, reading: float) -> Record:
+def _beam(beam: Beam, sigma: float, calibration: Calibration, reading: float) -> Record:
     k, found = beam.range_error_sigma, calibration.intervals(beam.name)
     sigmas = excludes = intervals = place = None
     if k is not None:
@@ -271,8 +276,9 @@ def _beam(beam: Beam, calibration: Calibration, reading: float) -> Record:
         )
     return record(
         beam,
-        "name location_m direction range_error range_error_terms range_error_excludes_zero sigma "
-        "interval_95 covariance spot",
+        "name location_m direction range_error range_error_terms range_error_excludes_zero "
+        "range_sigma_m sigma interval_95 covariance spot",
+        range_sigma_m=sigma,
         range_error=record(beam.range_error, RANGE_ERROR),
         range_error_terms=beam.terms,
         range_error_excludes_zero=excludes,

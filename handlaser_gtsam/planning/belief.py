@@ -222,7 +222,7 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
         lift = beams_lift(bases, [2] * len(bases))
         covariance = lift.T @ calibration.covariance @ lift
         mean = Parameters(r, v, k, nothing, np.empty(0))
-        noise = Variances(np.full(len(bases), calibration.range_sigma), pose=pose)
+        noise = Variances(calibration.range_sigma, pose=pose)
         no_bases = np.empty((0, 3, 2))
         return Belief(mean, covariance, bases, no_bases, nothing, noise, (), covariance)
     joint, effects = calibration.covariance, calibration.effects

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, frozen
 from ..checks import (
     number_array,
     require_count,
@@ -40,8 +40,8 @@ class Mounts(Value):
         Range-error terms of each beam that were estimated.
     covariance : (8 B, 8 B)
         Over `BEAM.keys` of every beam, which are in SI units, the direction ambient.
-    range_sigma : float
-        Standard deviation of a reading behind it [m].
+    range_sigma : (B,)
+        Standard deviation of a reading of each behind it [m]; one number stands for all.
     pose_covariance : (6, 6) or None
         What hand poses err by behind it (rx, ry, rz, x, y, z); None for exact poses.
     dof : float
@@ -60,16 +60,19 @@ class Mounts(Value):
     range_errors: FloatArray
     terms: tuple[int, ...]
     covariance: FloatArray
-    range_sigma: float
+    range_sigma: FloatArray
     pose_covariance: FloatArray | None = None
     dof: float = math.inf
 
     def __post_init__(self) -> None:
         for name in ("locations", "directions", "range_errors", "covariance"):
             object.__setattr__(self, name, number_array(name, getattr(self, name)))
-        count = len(self.names)
-        shapes = [(count, 3), (count, 3), (count, 2), (BEAM.size * count,) * 2]
-        arrays = (self.locations, self.directions, self.range_errors, self.covariance)
+        count, sigma = len(self.names), number_array("range_sigma", self.range_sigma)
+        if sigma.shape in ((), (count,)):
+            sigma = np.broadcast_to(sigma, (count,))
+        object.__setattr__(self, "range_sigma", frozen(sigma))
+        shapes = [(count, 3), (count, 3), (count, 2), (BEAM.size * count,) * 2, (count,)]
+        arrays = (self.locations, self.directions, self.range_errors, self.covariance, sigma)
         if [a.shape for a in arrays] != shapes or len(self.terms) != count:
             raise InputError(f"arrays of shapes {[a.shape for a in arrays]}", f"{shapes}")
         require_names("the name of a beam", self.names)
@@ -90,7 +93,8 @@ class Mounts(Value):
         if wrong.any():
             raise InputError(f"a direction of length {length[wrong][0]:g}", "a unit vector")
         require_covariance("a covariance of the beams", self.covariance, NEGLIGIBLE)
-        require_number("range_sigma", self.range_sigma, LEAST_SIGMA, LARGEST_LENGTH, unit="m")
+        for one in sigma.tolist():
+            require_number("range_sigma", one, LEAST_SIGMA, LARGEST_LENGTH, unit="m")
         if not self.dof > 0.0:
             raise InputError(
                 f"dof {self.dof:g}", "degrees of freedom above 0; inf for a given sigma"
@@ -116,7 +120,7 @@ class Mounts(Value):
             *calibration.parameters().beams,
             tuple(beam.terms for beam in calibration.beams.values()),
             calibration.covariance.matrix(planes=[]),
-            calibration.fit.range_sigma,
+            calibration.reading_variances.range_sigma,
             calibration.pose_covariance,
             math.inf if calibration.fit.range_sigma_given else float(max(calibration.fit.dof, 1)),
         )
@@ -147,6 +151,7 @@ class Mounts(Value):
             range_errors=self.range_errors[at],
             terms=tuple(self.terms[i] for i in at),
             covariance=self.covariance[np.ix_(rows, rows)],
+            range_sigma=self.range_sigma[at],
         )
 
 

@@ -264,7 +264,7 @@ class Session:
             *state.beams,
             terms,
             state.covariance,
-            config.sigma,
+            config.variances.range_sigma,
             None if pose is None else pose[0],
             config.sigma_dof,
         )

@@ -189,7 +189,8 @@ def hold_out(
     noise : Noise, optional
         Of the new recording. Of beams before planes, an unknown range sigma is taken from the
         calibration, and what the recording shows where it has readings enough, and unknown errors of
-        the poses are taken from the calibration. A survey is calibrated by itself.
+        the poses are taken from the calibration; beams that are rougher there are as much rougher
+        here. A survey is calibrated by itself.
     each_beam : bool
         Whether each beam is tested alone, too; that takes long for dozens of beams. Mounts of a survey
         are compared one by one.
@@ -246,9 +247,11 @@ def hold_out(
 def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: bool) -> HoldOut:
     """Compare calibrated beams with a recording."""
     noise = noise.reordered(np.arange(len(recording.plane_labels)))
+    typical = float(np.median(mounts.range_sigma))
     mounts = mounts.arranged(recording.beam_names)
     readings = recording.readings().about_planes()
-    sigma = noise.range_sigma or mounts.range_sigma
+    # Beams that are rougher than others are so in every recording.
+    sigmas = mounts.range_sigma * ((noise.range_sigma or typical) / typical)
     stations, pose = len(recording.plane_labels), None
     if noise.poses_uncertain:
         pose = noise.pose_covariances(stations)
@@ -256,7 +259,7 @@ def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: boo
         pose = np.broadcast_to(mounts.pose_covariance, (stations, 6, 6))
     if pose is not None:
         pose = _of_visits(recording, noise, pose)
-    variances = Variances(np.full(readings.beams, sigma), noise.incidence_sigma, pose)
+    variances = Variances(sigmas, noise.incidence_sigma, pose)
     beams = (mounts.locations, mounts.directions, mounts.range_errors)
     at, how = fit_planes(beams, readings, variances)
     e = model.residuals(model.scene(at, readings), readings.distance)

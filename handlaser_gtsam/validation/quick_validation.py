@@ -156,8 +156,8 @@ def held_out(calibration: Calibration) -> Validation:
         held, variances = whole.stations(out)
         exact = 0.0 if variances.pose is None else None
         noise = Noise(sigma, exact, exact, variances.incidence_sigma, variances.pose)
-        typical, S = float(np.median(variances.range_sigma)), joint.matrix(planes=[])
-        mounts = Mounts(joint.beam_names, *at.beams, joint.terms, S, typical)
+        S = joint.matrix(planes=[])
+        mounts = Mounts(joint.beam_names, *at.beams, joint.terms, S, variances.range_sigma)
         return hold_out(mounts, held, noise, each_beam=False)
 
     def of_split(out: BoolArray) -> Prediction:

@@ -104,8 +104,8 @@ def seen_by_beams(subject: Subject) -> list[Seen]:
     calibration, rows = subject.calibration, subject.rows
     if not subject.solved:
         return []
-    sigma, seen = calibration.fit.range_sigma, []
-    for index, beam in enumerate(calibration.beams.values()):
+    sigmas, seen = calibration.reading_variances.range_sigma.tolist(), []
+    for index, (beam, sigma) in enumerate(zip(calibration.beams.values(), sigmas, strict=True)):
         if rows is None:
             reading = np.array([calibration.fit.typical_range])
             station, off = np.zeros(1, dtype=np.intp), np.zeros(1)
