@@ -86,6 +86,14 @@ def test_labels_are_named_where_most_of_their_readings_are_rejected(name, seed):
 
 
 @pytest.mark.slow
+def test_readings_that_noise_was_learned_for_are_no_fit_beside_a_mistake_that_explains_them():
+    """A third of plate A is rejected, and the rest makes errors of the hand of 1 mm."""
+    row = judge(("two-plates-one-label", 6), None)
+    assert row.named, row.headline
+    assert row.outcome == "unusable"
+
+
+@pytest.mark.slow
 def test_labels_that_change_late_are_named_once():
     row = judge(("label-late-by-three", 3), None)
     named = ("stations have the label of another plane", "look like another plane's")

@@ -220,6 +220,8 @@ def _wrong_and_way(
     # parts the first stations from the last ones, and either part may be the wrong one.
     lost = lost_of_beams(fit, problem.recording.beam_names)
     unsure = any(out > (1.0 / 3.0) * every and every > out for out, every in lost)
+    # Nor do readings fit that are far better another way, though noise was learned for them.
+    unsure = unsure or fit.rms > TEN_TIMES * float(way.values["rms_m"])
     if wrong is None and not (unsure or "parts" in way.values or suspicious(used, fit)):
         return None, way, False
     return way, None, True

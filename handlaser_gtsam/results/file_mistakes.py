@@ -91,7 +91,9 @@ def better_way(
             most = min(now / MUCH_BETTER, 4.0 * best)
             words = " or ".join(dict.fromkeys(one.words for x, one in without if x <= most))
             times = float(min(np.sqrt(now / best), 1e6))
-            return warned("file-mistake", {"mistake": words, **way.values}, times=times)
+            rms = float(np.sqrt(best) * np.nanstd(way.change(recording).ranges))
+            values = {"mistake": words, **way.values, "rms_m": rms}
+            return warned("file-mistake", values, times=times)
     return None
 
 
