@@ -146,3 +146,13 @@ def test_what_is_held_out_is_judged_by_the_sigma_of_each_beam(tmp_path):
     part = other.part(np.arange(0, 48, 2))
     assert hl.hold_out(mounts, part).holds
     assert mounts.arranged(("2",)).range_sigma == mounts.range_sigma[1]
+
+
+def test_a_rough_beam_is_named_where_no_other_scale_is_learned():
+    recording, _ = recorded(1, Layout(beams=4, planes=4, stations=12), rough=2)
+    alone = hl.CalibrationOptions("none", poses="exact")
+    assert [one["beam"] for one in rough_beams(hl.calibrate(recording, options=alone))] == ["3"]
+    alike, _ = recorded(1, Layout(beams=4, planes=4, stations=12))
+    found = hl.calibrate(alike, options=alone)
+    assert not rough_beams(found)
+    assert not found.noise_estimate

@@ -100,7 +100,7 @@ def settle(
     if task.learns or not alike or unequal(base, task.terms, readings):
         task.solution = task.settled(first)
     while options.range_sigma_by_beam is None and (own := task.with_rough_beam()) is not None:
-        task.scales = own
+        task.scales, task.learns = own, True
         task.solution = task.settled(task.solution)
     return task
 
@@ -258,8 +258,8 @@ class SolutionTask:
         that, if the readings are more probable by 1 / `SINGLE_LEVEL` for each beam with another sigma.
         """
         common, solution, readings = self.scales.common, self.solution, self.readings
-        learned = self.learns and self.loss == GAUSSIAN and solution.observability.full
-        if common is None or not learned or len(self.scales.own) >= MANY_BEAMS:
+        tells = self.loss == GAUSSIAN and solution.observability.full
+        if common is None or not tells or len(self.scales.own) >= MANY_BEAMS:
             return None
         alike = np.delete(np.arange(readings.beams), self.scales.own)
         number = np.bincount(readings.beam, minlength=readings.beams)[alike]
@@ -274,6 +274,8 @@ class SolutionTask:
         roughest = int(chance.argmin())
         if chance[roughest] * len(alike) > FAMILY_LEVEL:
             return None
+        if not self.learns:
+            self.logs = start_of(self.scales, max(self.sigma, LEAST_SIGMA), self.length)
         scales = self.scales.beside(int(alike[roughest]))
         problem = replace(self._scale_problem(solution), scales=scales)
         same = np.append(self.logs, self.logs[common])
