@@ -259,6 +259,7 @@ class SolutionTask:
         """
         common, solution, readings = self.scales.common, self.solution, self.readings
         tells = self.loss == GAUSSIAN and solution.observability.full
+        tells = tells and solution.at.status == "converged"
         if common is None or not tells or len(self.scales.own) >= MANY_BEAMS:
             return None
         alike = np.delete(np.arange(readings.beams), self.scales.own)
