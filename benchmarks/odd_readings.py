@@ -19,6 +19,7 @@ planes, nine to fourteen stations each, a hand that moves little or much. Then o
                    systematic errors of `robot_cell`, of 0.5 to 20 standard deviations, or 0.5 to 30 %
                    of the way between the neighbouring stations
     compressed     3 to 20 % of the readings: beyond a limit they grow by 0 to 30 % of the distance
+    rough          the noise of one of several beams is 3 to 30 times that of the others
 """
 
 from collections.abc import Callable
@@ -65,7 +66,7 @@ def odd_scene(kind: str, seed: int) -> OddScene:
 def _scene(kind: str, rng: np.random.Generator) -> Scene:
     """Draw the sizes of a scene, and of its systematic error; the noise comes later."""
     planes, stations = int(rng.integers(3, 7)), int(rng.integers(9, 15))
-    beams = int(rng.integers(2 if kind in ("doubled", "other-beam") else 1, 5))
+    beams = int(rng.integers(2 if kind in ("doubled", "other-beam", "rough") else 1, 5))
     if kind == "few-stations":
         planes, stations = 2, int(rng.integers(6, 10))
     if kind == "one-plane":
@@ -150,6 +151,14 @@ def _other_beam(recording: hl.Recording, rng: np.random.Generator) -> hl.Recordi
     return replace(recording, ranges=ranges)
 
 
+def _rough(recording: hl.Recording, rng: np.random.Generator) -> hl.Recording:
+    stations, beams = recording.ranges.shape
+    ranges = recording.ranges.copy()
+    sigma = SIGMA * 10.0 ** rng.uniform(0.5, 1.5)
+    ranges[:, rng.integers(beams)] += sigma * rng.standard_normal(stations)
+    return replace(recording, ranges=ranges)
+
+
 SPOILERS: dict[str, Callable[[hl.Recording, np.random.Generator], hl.Recording]] = {
     "quantised": _quantised,
     "saturated": _saturated,
@@ -157,6 +166,7 @@ SPOILERS: dict[str, Callable[[hl.Recording, np.random.Generator], hl.Recording]]
     "doubled": _doubled,
     "other-beam": _other_beam,
     "compressed": _compressed,
+    "rough": _rough,
 }
 KINDS = (
     "gaussian",
@@ -172,4 +182,5 @@ KINDS = (
     "other-beam",
     *SYSTEMATIC,
     "compressed",
+    "rough",
 )

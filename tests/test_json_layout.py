@@ -56,6 +56,7 @@ def test_a_calibration_is_written_as_ever(name):
         one["warnings"] = [{"code": warning["code"]} for warning in one["warnings"]]
     verdict = now.pop("verdict")  # what has come since
     assert now.pop("effects") == []
+    assert all(beam.pop("range_sigma_m") == 3e-5 for beam in now["beams"])
     assert verdict["usable"] == (name == "determined")
     by_pose = now["fit"].pop("errors_by_pose")
     del now["correlations"][len(before["correlations"]) :]
