@@ -33,7 +33,7 @@ from ..solvers.graph_levenberg import LevenbergResult, Status, levenberg_marquar
 from ..solvers.gtsam_sums import eliminated_sums
 from ..text import count
 from .learning_scales import ScaleProblem
-from .options import READINGS_OF_A_SIGMA, CalibrationOptions
+from .options import CalibrationOptions
 from .scales import MOST_POSE_ERROR, RANGE, Scales, start_of, unknown_scales, with_scales
 from .solution import Minimum, Solution, covariance_by_gtsam, numbered, posterior
 
@@ -271,7 +271,7 @@ class SolutionTask:
         dof = number * max(self.redundancy, 1) / len(readings)
         rest, rest_dof = squares.sum() - squares, dof.sum() - dof
         ratio = squares / dof / np.maximum(rest / rest_dof, TINY)
-        chance = np.where(number >= READINGS_OF_A_SIGMA, f_sf(ratio, dof, rest_dof), 1.0)
+        chance = f_sf(ratio, dof, rest_dof)
         roughest = int(chance.argmin())
         if chance[roughest] * len(alike) > FAMILY_LEVEL:
             return None
