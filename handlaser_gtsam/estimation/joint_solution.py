@@ -254,8 +254,8 @@ class SolutionTask:
     def with_rough_beam(self) -> Scales | None:
         """Return the scales with a range sigma of its own for the roughest beam; None where none is.
 
-        The beam whose whitened residuals are the largest beside those of all others by an F test is
-        that, if the readings are more probable by 1 / `SINGLE_LEVEL` for each beam with another sigma.
+        An F test of whitened residuals against all others finds that beam. The readings then have to be
+        more probable with another sigma for it, by 1 / `SINGLE_LEVEL` for each beam that was looked at.
         """
         common, solution, readings = self.scales.common, self.solution, self.readings
         tells = self.loss == GAUSSIAN and solution.observability.full

@@ -202,7 +202,7 @@ def fit_warnings(
 def _rough_beams(
     learned: Iterable[NoiseComponent], names: Sequence[str]
 ) -> Iterator[CalibrationWarning]:
-    """Warn of beams for which one range sigma was learned, because that of all others does not hold."""
+    """Warn of beams for which a range sigma was learned apart from the common one."""
     of_ranges = {one.beam: one.sigma for one in learned if one.quantity == RANGE}
     others = of_ranges.pop(None, None)
     for beam, sigma in of_ranges.items():
